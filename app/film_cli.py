@@ -35,7 +35,7 @@ from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from training.priors.inside_file import read_inside
 
-__all__ = ["Scene", "Wanted", "film_project", "is_project", "make_film", "save_film"]
+__all__ = ["FilmOptions", "Scene", "film_project", "is_project", "make_film", "save_film"]
 
 PRESETS = ("turntable", "sweep", "explode")
 
@@ -71,7 +71,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class FilmOptions:
     """A film as the options ask for it."""
 
     name: str
@@ -91,7 +91,7 @@ def make_film(
     seconds: float | None,
     rate: float | None,
     transparent: bool,
-) -> Wanted:
+) -> FilmOptions:
     """The film that the options ask for. Raises InputError for contradictory options or a bad file of keyframes."""
     fps = RATE if rate is None else rate
     _check_form(out, fps, transparent)
@@ -100,13 +100,13 @@ def make_film(
             raise InputError(f"--film {name}: give {', '.join(PRESETS)}, or a file of keyframes that ends in .json")
         if planes or has_camera or seconds is not None:
             raise InputError(f"{name}: keyframes have planes, camera and times of their own; leave the options out")
-        return Wanted(name, (), 0.0, fps, read_film(Path(name)))
+        return FilmOptions(name, (), 0.0, fps, read_film(Path(name)))
     length = SECONDS if seconds is None else seconds
     if not (math.isfinite(length) and 0.1 <= length <= LONGEST):
         raise InputError(f"--seconds {length:g}: give a number from 0.1 to {LONGEST:g}")
     if name == "explode" and not planes:
         raise InputError("--film explode: give the planes that part the pieces, as in --plane 0,0,1,0 --plane 1,0,0,0")
-    return Wanted(name, planes, length, fps)
+    return FilmOptions(name, planes, length, fps)
 
 
 def _check_form(out: Path, fps: float, transparent: bool) -> None:
@@ -164,7 +164,7 @@ def film_project(
     return f"{count} frames of {look.size[0]}x{look.size[1]}"
 
 
-def save_film(out: Path, wanted: Wanted, scene: Scene, shot: Shot, settings: dict[str, str]) -> str:
+def save_film(out: Path, wanted: FilmOptions, scene: Scene, shot: Shot, settings: dict[str, str]) -> str:
     """Saves a film and returns the number of its frames in words. `settings`: all else that decides how frames look."""
     solid = Solid.of_atoms(scene.atoms)
     film = film_of(wanted, scene, solid)
@@ -193,7 +193,7 @@ def save_film(out: Path, wanted: Wanted, scene: Scene, shot: Shot, settings: dic
     return f"{count} frames, {new} of them new,"
 
 
-def film_of(wanted: Wanted, scene: Scene, solid: Solid) -> Film:
+def film_of(wanted: FilmOptions, scene: Scene, solid: Solid) -> Film:
     """The keyframes of a film."""
     if wanted.keyframes is not None:
         return wanted.keyframes

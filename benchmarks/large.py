@@ -57,7 +57,7 @@ def divided(gaussians: Gaussians, count: int) -> Gaussians:
     )
 
 
-def opened(path: Path) -> dict[str, Any]:
+def measure_opening(path: Path) -> dict[str, Any]:
     """What opening the file costs, in seconds and memory. Raises RuntimeError if it fails."""
     row: dict[str, Any] = {"megabytes": path.stat().st_size >> 20}
     peaks = {"window_mb": 0, "worker_mb": 0, "both_mb": 0}
@@ -97,7 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "large.ply"
             write_ply(path, divided(scene, count))
-            rows.append({"gaussians": count, **opened(path)})
+            rows.append({"gaussians": count, **measure_opening(path)})
         print(json.dumps(rows[-1], indent=1), flush=True)
     if folder:
         write_json(folder / "large.json", rows)

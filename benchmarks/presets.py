@@ -95,7 +95,7 @@ def mean(numbers: Detail, runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
     return {"numbers": asdict(numbers), **means, "scenes": runs}
 
 
-def best(runs: dict[str, dict[str, Any]], across: str, up: str) -> list[int]:
+def pareto_front(runs: dict[str, dict[str, Any]], across: str, up: str) -> list[int]:
     """Indices of the runs on the Pareto front of a figure against a cost."""
     return front([run[across] for run in runs.values()], [FIGURES[up][1](run[up]) for run in runs.values()])
 
@@ -131,7 +131,7 @@ def draw(runs: dict[str, dict[str, Any]], path: Path) -> None:
     figure, panels = plt.subplots(len(FIGURES), len(COSTS), figsize=(12.5, 13.5))
     for panel, (up, across) in zip(panels.flat, itertools.product(FIGURES, COSTS), strict=True):
         x, y = [run[across] for run in runs.values()], [run[up] for run in runs.values()]
-        line = best(runs, across, up)
+        line = pareto_front(runs, across, up)
         panel.plot([x[i] for i in line], [y[i] for i in line], "-", color=QUIET, zorder=1)
         for name, a, b in zip(runs, x, y, strict=True):
             preset = name in DETAILS
@@ -171,7 +171,7 @@ def main(arguments: list[str] | None = None) -> None:
         return
     runs = {name: mean(chosen[name][0], of) for name, of in result.items()}
     fronts = {
-        f"{up} against {across}": [list(runs)[i] for i in best(runs, across, up)]
+        f"{up} against {across}": [list(runs)[i] for i in pareto_front(runs, across, up)]
         for up, across in itertools.product(FIGURES, COSTS)
     }
     record = {"scenes": SCENES, "cuts": CUTS, "cores": cores(), "fronts": fronts, "runs": runs}

@@ -62,7 +62,7 @@ def moved(whole: Gaussians, part: float) -> Gaussians:
     return replace(whole, means=(whole.means + away).astype(np.float32))
 
 
-def opened(whole: Gaussians, angle: float) -> Gaussians:
+def with_hole(whole: Gaussians, angle: float) -> Gaussians:
     """A capture without the Gaussians in a cone from its middle, in a direction along no axis."""
     offset = whole.means - whole.visible_bounds().mean(0)
     towards = np.array([1.0, 0.6, -0.4]) / np.linalg.norm([1.0, 0.6, -0.4])
@@ -72,12 +72,12 @@ def opened(whole: Gaussians, angle: float) -> Gaussians:
 WAYS: dict[str, tuple[Callable[[Gaussians, float], Gaussians], tuple[float, ...], str]] = {
     "kept": (thinned, KEPT, "part of the Gaussians that is left"),
     "moved": (moved, MOVED, "Gaussians moved by, in longest sides"),
-    "missing": (opened, MISSING, "half angle of what is missing, degrees"),
+    "missing": (with_hole, MISSING, "half angle of what is missing, degrees"),
 }
 """By name: how a capture is worsened, the steps, and the axis label."""
 
 
-def overlap(whole: Body, worn: Gaussians) -> float:
+def body_iou(whole: Body, worn: Gaussians) -> float:
     """Volume of the intersection of both bodies over that of their union; 0 where no body is found."""
     try:
         other = find_body(worn).body
@@ -95,7 +95,7 @@ def measure(path: Path, points: int | None) -> dict[str, Any]:
     whole = find_body(capture).body
     rows: dict[str, Any] = {"gaussians": len(capture)}
     for name, (worsen, steps, _) in WAYS.items():
-        rows[name] = [[step, overlap(whole, worsen(capture, step))] for step in steps[:points]]
+        rows[name] = [[step, body_iou(whole, worsen(capture, step))] for step in steps[:points]]
     return rows
 
 

@@ -9,7 +9,7 @@ MAX_LENGTH = 1000
 
 
 class InputError(ValueError):
-    """Input that cannot be used. The message is one line in the user's language.
+    """Input that cannot be used. The message is one line in the user's terms.
 
     The commands print it without a traceback and exit with status 2; the app shows it in the window.
     """

@@ -15,7 +15,7 @@ from engine.io.load import load as load_scene
 from engine.io.trained import Meta
 from engine.isolate.record import isolation_record
 from engine.isolate.selection import Sphere, isolated, without_surroundings
-from engine.isolate.surroundings import find_middle
+from engine.isolate.surroundings import object_ball
 from engine.scene.gaussians import Gaussians
 from engine.solid.up_axis.detect import detect_up
 from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_up
@@ -79,7 +79,7 @@ class Capture:
     def middle(self) -> Sphere | None:
         """The ball that holds the object and some of its floor, if the capture also shows the room or view around it;
         None if it shows the object alone. `keep=[capture.middle]` leaves out the rest."""
-        found = find_middle(self.gaussians)
+        found = object_ball(self.gaussians)
         return None if found is None else Sphere(*found)
 
     def solidify(

@@ -80,13 +80,13 @@ def _samples(solid: Solid, count: int, rng: np.random.Generator) -> tuple[Array,
     rays = directions(count)
     # A cone of solid angle w meets a skin at slant cosine c in area w r^2 / c; more rays where that is more, so that
     # the far corners of a loaf are sampled as densely as its sides.
-    points = solid.skin(rays)
+    points = solid.skin_points(rays)
     area = (points**2).sum(1) / np.maximum((rays * solid.normals(points)).sum(1), 0.15)
     total = np.cumsum(area)
     rays = rays[np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])]
     rays += rng.normal(0, 1.5 / np.sqrt(count), (count, 3))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    points = solid.skin(rays)
+    points = solid.skin_points(rays)
     return points, solid.normals(points), np.full(count, 4 * np.pi * area.mean() / count)
 
 
@@ -109,7 +109,7 @@ def _distribute(solid: Solid, samples: Array, area: Array, count: int, rng: np.r
         total = np.maximum(np.bincount(owner, weight, count), 1e-12)
         mean = np.stack([np.bincount(owner, weight * samples[:, c], count) for c in range(3)], axis=1) / total[:, None]
         mean = np.where((np.bincount(owner, minlength=count) > 0)[:, None], mean, centres)
-        centres = solid.skin(mean / np.linalg.norm(mean, axis=1, keepdims=True))
+        centres = solid.skin_points(mean / np.linalg.norm(mean, axis=1, keepdims=True))
     owner = cKDTree(centres).query(samples)[1]
     return centres, np.sqrt(np.maximum(np.bincount(owner, area, count), np.median(area)))
 

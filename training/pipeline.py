@@ -23,7 +23,7 @@ from engine.io.files import remove_leftovers
 from engine.io.load import load
 from engine.isolate.bodies import find_bodies
 from engine.isolate.selection import isolated, without_surroundings
-from engine.isolate.surroundings import find_middle
+from engine.isolate.surroundings import object_ball
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.inside import Inside
@@ -249,7 +249,7 @@ def prepare(
         for note in notes:
             reporter.warn(f"{request.scene.name}: {note}")
         seen = without_surroundings(loaded.gaussians)
-        if seen is not loaded.gaussians and find_middle(gaussians) is not None:
+        if seen is not loaded.gaussians and object_ball(gaussians) is not None:
             reporter.warn(f"{request.scene.name}: it shows what is around the object; --no-surroundings leaves it out")
         bodies = len(find_bodies(gaussians).points)
         if bodies > 1:

@@ -21,7 +21,7 @@ from engine.errors import InputError
 from engine.export.body import body_of
 from engine.export.colours import Colours
 from engine.io.files import atomic
-from engine.io.writers.about import About
+from engine.io.writers.provenance import Provenance
 from engine.io.writers.solid_gaussians import joined, piece_gaussians
 from engine.io.writers.splats import write_splats
 from engine.scene.atoms import Atoms
@@ -226,7 +226,7 @@ def save_pieces(path: Path, pieces: Sequence[tuple[Atoms, PlacedPiece]], up: Vec
     gaussians = joined([piece_gaussians(atoms, piece.drawn()) for atoms, piece in pieces]) if pieces else None
     if gaussians is None or not len(gaussians):
         raise InputError(f"{path}: nothing to save; no piece is shown")
-    write_splats(path, gaussians, About(up))
+    write_splats(path, gaussians, Provenance(up))
     return len(gaussians)
 
 
@@ -239,13 +239,13 @@ def save_meshes(
     `up`: the view's up axis. `metres`: length of a world unit. `wanted`: whether the user still wants the file; if not,
     nothing is written. Raises InputError if there are no pieces, or without the packages that this needs.
     """
-    from engine.export.meshes.cutting import Wanted
+    from engine.export.meshes.cutting import MeshOptions
     from engine.export.meshes.files import save_mesh
     from engine.export.meshes.textured import textured_pieces
 
     # Names for objects in other programs: a single word each, and all different.
     wanted_pieces = [
-        Wanted(
+        MeshOptions(
             f"{'_'.join(re.findall(r'[A-Za-z0-9]+', piece.name)) or 'piece'}_{number}",
             tuple(cell.planes for cell in piece.cells),
             piece.motion.matrix,

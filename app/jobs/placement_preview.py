@@ -22,14 +22,14 @@ from training.families import Family
 from training.priors.exemplar.pictures import axis_of, make_picture
 from training.priors.exemplar.placement import OwnPlane, bend_picture, find_own_plane
 
-__all__ = ["Placed", "PlacementPreview", "Wanted"]
+__all__ = ["Placed", "PlacementPreview", "PlacementRequest"]
 
 SIDE = 384
 """Longer side, in pixels, that a picture is reduced to: as much as a bent picture shows, and quick to turn."""
 
 
 @dataclass(frozen=True, eq=False)
-class Wanted:
+class PlacementRequest:
     """A picture to be placed, and the family and object that it belongs to."""
 
     rgb: NDArray[np.uint8]
@@ -41,7 +41,7 @@ class Wanted:
     """The object; None while it is not solid, and then only the axis is found."""
     up: Vec3
 
-    def equals(self, other: Wanted | None) -> bool:
+    def equals(self, other: PlacementRequest | None) -> bool:
         """Whether the result would be the same."""
         if other is None:
             return False
@@ -71,12 +71,12 @@ class PlacementPreview:
 
     def __init__(self) -> None:
         self._worker = ThreadPoolExecutor(1, "placement")
-        self._running: tuple[Wanted, Future[Placed]] | None = None
-        self._done: tuple[Wanted, Placed] | None = None
+        self._running: tuple[PlacementRequest, Future[Placed]] | None = None
+        self._done: tuple[PlacementRequest, Placed] | None = None
         self._body: tuple[Atoms, Body] | None = None
         self._plane: tuple[object, OwnPlane] | None = None
 
-    def update(self, wanted: Wanted) -> Placed | None:
+    def update(self, wanted: PlacementRequest) -> Placed | None:
         """Starts the placement, unless it is done or another one is being made; returns the last finished placement of
         the same picture. Never waits."""
         if self._running is not None and self._running[1].done():
@@ -95,7 +95,7 @@ class PlacementPreview:
         """Starts nothing more."""
         self._worker.shutdown(wait=False, cancel_futures=True)
 
-    def _place(self, wanted: Wanted) -> Placed:
+    def _place(self, wanted: PlacementRequest) -> Placed:
         marks = wanted.marks
         assert marks.outline is not None
         image = Image.fromarray(wanted.rgb)
@@ -120,7 +120,7 @@ class PlacementPreview:
             return Placed(marks, problem=str(error))
         return Placed(marks, plane, bend_picture(picture, plane))
 
-    def _plane_of(self, wanted: Wanted, atoms: Atoms) -> OwnPlane:
+    def _plane_of(self, wanted: PlacementRequest, atoms: Atoms) -> OwnPlane:
         """The own plane of the family in the object, found again only if either has changed."""
         if self._body is None or self._body[0] is not atoms:
             self._body, self._plane = (atoms, body_of_atoms(atoms)), None

@@ -31,7 +31,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.inside import Inside
 from training.settings import DetailName
 
-__all__ = ["LoadedScene", "SceneLoader", "SceneRequest"]
+__all__ = ["LoadedObject", "SceneLoader", "SceneRequest"]
 
 
 LOOKED_AT = 300_000
@@ -54,7 +54,7 @@ class SceneRequest:
 
 
 @dataclass(frozen=True)
-class LoadedScene:
+class LoadedObject:
     """As much of a scene as has been loaded so far."""
 
     request: SceneRequest
@@ -102,7 +102,7 @@ class SceneLoader:
         self.ended = False
         self.announced = False
         """Whether the user has been told that the object can be cut."""
-        self.scene = LoadedScene(request)
+        self.scene = LoadedObject(request)
         self._queue: queue.SimpleQueue[tuple[dict[str, Any], dict[str, Any]]] = queue.SimpleQueue()
         self._scratch = Scratch("fruitninja-")
         pipe = subprocess.PIPE

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from app.jobs.face_finder import FaceFinder, FoundFace
-from app.jobs.placement_preview import Placed, PlacementPreview, Wanted
+from app.jobs.placement_preview import Placed, PlacementPreview, PlacementRequest
 from app.model.faces.edit import BrushStroke, Outline, drag_point
 from app.model.faces.words import describe_guess
 from app.model.history import History
@@ -185,7 +185,7 @@ class FaceController:
             face.placed = None
             return
         workspace = self.workspace
-        wanted = Wanted(face.found.rgb, known, family, workspace.atoms, workspace.up)
+        wanted = PlacementRequest(face.found.rgb, known, family, workspace.atoms, workspace.up)
         face.placed = self.placement.update(wanted)
 
     def _watch(self) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.jobs.scene_loader import LoadedScene
+from app.jobs.scene_loader import LoadedObject
 from app.model.autosave import UnsavedWork
 from app.model.document import Document
 from app.model.film.timeline import Timeline
@@ -36,7 +36,7 @@ class _Opened:
     viewing: Viewing
     path: Path | None
     active: int
-    loaded: dict[int, LoadedScene]
+    loaded: dict[int, LoadedObject]
 
 
 class ProjectFiles:
@@ -173,18 +173,18 @@ class ProjectFiles:
         self.workspace.change_settings(settings)
         self.open_documents(project.documents, project.viewing, path, project.film)
 
-    def recover(self, find_unsaved_work: UnsavedWork) -> None:
+    def recover(self, work: UnsavedWork) -> None:
         """Opens the unsaved work of a session that crashed."""
         try:
-            project = find_unsaved_work.load()
+            project = work.load()
         except InputError as error:
             self.workspace.show_error(error)
             return
-        self.open_documents(project.documents, project.viewing, find_unsaved_work.project, project.film)
+        self.open_documents(project.documents, project.viewing, work.project, project.film)
         self._before = None  # recovered work stays open even if its scene cannot be read
         self.workspace.history.saved = None  # still unsaved
         self.workspace.notify(_("Your unsaved work is back. Save it to keep it."))
-        find_unsaved_work.discard()
+        work.discard()
 
     @property
     def recent_name(self) -> str | None:

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from app.jobs.scene_loader import LoadedScene, SceneLoader
+from app.jobs.scene_loader import LoadedObject, SceneLoader
 from app.model.autosave import Autosave
 from app.model.capture_view import CaptureView
 from app.model.document import Cut, Document, Key, Part, Placement
@@ -55,7 +55,7 @@ class Workspace(Messages):
     """Index of the object that the panels show and that is edited."""
     object_selected: bool = False
     """Whether the user has selected the active one of several objects, so that the knife cuts only this one."""
-    loaded: dict[int, LoadedScene] = field(default_factory=dict)
+    loaded: dict[int, LoadedObject] = field(default_factory=dict)
     """What is loaded of each object so far, by its number."""
     capture_view: CaptureView | None = None
     """The shown part of the capture; it is found in the background and may belong to an earlier document."""
@@ -116,12 +116,12 @@ class Workspace(Messages):
         return self.documents[self.active]
 
     @property
-    def object(self) -> LoadedScene | None:
+    def object(self) -> LoadedObject | None:
         """What is loaded of the active object so far."""
         return self.loaded.get(self.document.number)
 
     @object.setter
-    def object(self, loaded: LoadedScene | None) -> None:
+    def object(self, loaded: LoadedObject | None) -> None:
         if loaded is None:
             self.loaded.pop(self.document.number, None)
         else:

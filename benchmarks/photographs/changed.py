@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from benchmarks.photographs.faces import overlap
-from benchmarks.photographs.listed import asked
+from benchmarks.photographs.faces import mask_iou
+from benchmarks.photographs.listed import parse_options
 from benchmarks.support.charts import ACCENT, OTHER, plt, save_chart
 from benchmarks.support.options import out_folder
 from engine.errors import InputError
@@ -177,12 +177,12 @@ def measured(rgb: Pixels, truth: Mask, family: str, change: Change) -> dict[str,
     except InputError:
         return {"refused": True}
     kind = guess_cut(rgb, face.mask).kind
-    return {"overlap": round(overlap(face.mask, truth), 4), "told": bool(face.note), "kind_right": kind == family}
+    return {"overlap": round(mask_iou(face.mask, truth), 4), "told": bool(face.note), "kind_right": kind == family}
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Changes and measures a folder of photographs."""
-    options, rows = asked(__doc__, arguments)
+    options, rows = parse_options(__doc__, arguments)
 
     def of_one(row: dict[str, str]) -> dict[str, dict[str, Any]]:
         with open_picture(options.photographs / row["path"]) as picture:

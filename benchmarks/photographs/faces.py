@@ -16,20 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from benchmarks.photographs.listed import asked
+from benchmarks.photographs.listed import parse_options
 from engine.errors import InputError
 from engine.io.picture_file import read_pixels, save_png
 from training.faces.axis import find_core, guess_cut
 from training.faces.core_line import find_core_line
 from training.priors.exemplar.pictures import find_face
 
-__all__ = ["axis_error", "overlap"]
+__all__ = ["axis_error", "mask_iou"]
 
 TILE = 320
 """Pixels of a photograph on the sheet."""
 
 
-def overlap(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+def mask_iou(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
     """Intersection over union of two masks (H, W). Range [0, 1]."""
     return float((found & truth).sum() / (found | truth).sum())
 
@@ -65,7 +65,7 @@ def drawn(pixels: NDArray[np.uint8], mask: NDArray[np.bool_], kind: str) -> Imag
 
 def main(arguments: list[str] | None = None) -> None:
     """Measures a folder of photographs."""
-    options, rows = asked(__doc__, arguments)
+    options, rows = parse_options(__doc__, arguments)
     overlaps, tiles = [], []
     print(f"{'picture':20} {'IoU':>6} {'axis %':>6} {'seems':>10} {'sure':>5} {'s':>5}")
     for row in rows:
@@ -81,7 +81,7 @@ def main(arguments: list[str] | None = None) -> None:
         mask = face.mask
         seconds = time.process_time() - start
         guess = guess_cut(rgb, mask)
-        overlaps.append(overlap(mask, truth))
+        overlaps.append(mask_iou(mask, truth))
         away = 100 * axis_error(rgb, mask, row)
         said = f"{guess.kind:>10} {guess.sureness:5.2f} {seconds:5.2f}"
         print(f"{path.stem:20} {overlaps[-1]:6.4f} {away:6.1f} {said} {face.note}".rstrip())

@@ -10,7 +10,7 @@ from pathlib import Path
 from benchmarks.support.options import ROOT, parser_of
 from engine.io.files import read_file
 
-__all__ = ["PHOTOGRAPHS", "asked", "listed"]
+__all__ = ["PHOTOGRAPHS", "listed", "parse_options"]
 
 PHOTOGRAPHS = ROOT.parent / "shared/data/photos/fruit"
 """Holds `masks/` and `list.csv`; measured unless another folder is given."""
@@ -21,7 +21,7 @@ def listed(folder: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(read_file(folder / "list.csv", 1 << 20).decode())))
 
 
-def asked(text: str | None, arguments: list[str] | None) -> tuple[argparse.Namespace, list[dict[str, str]]]:
+def parse_options(text: str | None, arguments: list[str] | None) -> tuple[argparse.Namespace, list[dict[str, str]]]:
     """Options of a benchmark on a folder of photographs, and the rows to measure; `text` is its help."""
     parser = parser_of(text, "four photographs")
     parser.add_argument("photographs", nargs="?", type=Path, default=PHOTOGRAPHS, help="default: photos/fruit")

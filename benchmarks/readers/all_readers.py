@@ -46,7 +46,7 @@ from training.checkpoint import Checkpoint
 from training.families import COUNTS
 from training.priors.exemplar.pictures import read_picture
 
-__all__ = ["PICTURE", "READERS", "SOLID", "Verdict", "run_cell"]
+__all__ = ["PICTURE", "READERS", "SOLID", "Verdict", "read_one"]
 
 SOLID = "solid.ply"
 """A sound trained object, for readers that need one beside the file."""
@@ -158,7 +158,7 @@ def refusal_wrong(line: str, *paths: Path) -> str:
     return words_wrong(line, *map(str, paths)) or ("" if begins else "silent about the file")
 
 
-def run_cell(name: str, path: Path, work: Path, solid: Path) -> Verdict:
+def read_one(name: str, path: Path, work: Path, solid: Path) -> Verdict:
     """Gives the file to a reader. `work`: an empty folder, which is emptied again; `solid`: a trained object.
 
     Catches everything but the end of the process.
@@ -226,14 +226,14 @@ def main() -> None:
     warnings.simplefilter("always")  # each time, not only once per line of code
     for name in READERS:  # warm-up: late compiles and imports are not held against files
         for sample in (solid, solid.with_name(PICTURE)):
-            run_cell(name, sample, work, solid)
+            read_one(name, sample, work, solid)
     used = psutil.Process().memory_info().vms
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     print("ready", file=answers, flush=True)
     for line in sys.stdin:
         request = json.loads(line)
-        print(json.dumps(run_cell(request["reader"], Path(request["file"]), work, solid)), file=answers, flush=True)
+        print(json.dumps(read_one(request["reader"], Path(request["file"]), work, solid)), file=answers, flush=True)
 
 
 if __name__ == "__main__":

@@ -28,8 +28,8 @@ from benchmarks.support.options import out_folder, parser_of
 from engine.io.files import write_json
 from engine.io.load import load
 from engine.io.splats.ply import write_ply
-from engine.io.writers.about import About
-from engine.io.writers.solid_gaussians import OPAQUE
+from engine.io.writers.provenance import Provenance
+from engine.io.writers.solid_gaussians import ATOM_OPACITY
 from engine.io.writers.splats import write_splats
 from engine.scene.gaussians import Gaussians
 from engine.scene.morton import morton_order
@@ -67,7 +67,7 @@ def solid(atoms: int) -> Gaussians:
     sh[:, 0] = rgb_to_sh(0.5 + 0.45 * np.sin(9 * means + rng.normal(size=(atoms, 3)) / 9))
     sh[:skin, 1:] = rng.normal(size=(skin, 8, 3)) / 12
     order = np.concatenate([morton_order(means[:skin]), skin + morton_order(means[skin:])])
-    arrays = (means, scales, quats, np.full(atoms, OPAQUE), sh)
+    arrays = (means, scales, quats, np.full(atoms, ATOM_OPACITY), sh)
     return Gaussians(*(np.ascontiguousarray(array[order], np.float32) for array in arrays))
 
 
@@ -215,7 +215,7 @@ def measure(atoms: int) -> list[dict[str, Any]]:
         folder = Path(name)
         for suffix, readers in OUT.items():
             path = folder / f"a{suffix}"
-            _, seconds = timed(partial(write_splats, path, true, About(UP)))
+            _, seconds = timed(partial(write_splats, path, true, Provenance(UP)))
             meant = moved(true, upright(UP)) if suffix in (".glb", ".usdc") else true
             row = {"format": suffix, "direction": "out", "bytes": path.stat().st_size, "seconds": seconds}
             if suffix != ".usdc":

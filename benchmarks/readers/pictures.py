@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image, ImageCms, PngImagePlugin, features
 
 from benchmarks.readers.inputs import JUNK, broken
-from benchmarks.readers.rules import refused
+from benchmarks.readers.rules import result_or_refusal
 from engine.io.meshes.mesh import read_mesh
 from training.priors.exemplar.pictures import read_picture
 
@@ -167,7 +167,7 @@ def check_picture(data: bytes, folder: Path) -> bool:
     """Reads the picture as an exemplar."""
     path = folder / "face.png"
     path.write_bytes(data)
-    picture = refused(lambda: read_picture(path, "horizontal"), folder)
+    picture = result_or_refusal(lambda: read_picture(path, "horizontal"), folder)
     if picture is None:
         return False
     rgb = picture.rgb
@@ -245,7 +245,7 @@ def check_texture(value: tuple[str, bytes], folder: Path) -> bool:
         path.write_text("mtllib a.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
     else:
         path.write_bytes(gltf(data, folder if name == "a.gltf" else None))
-    loaded = refused(lambda: read_mesh(path, count=200), folder)
+    loaded = result_or_refusal(lambda: read_mesh(path, count=200), folder)
     if loaded is None:
         return False
     for key, values in vars(loaded).items():

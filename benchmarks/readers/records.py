@@ -24,14 +24,14 @@ from app.model.pieces import Solid, pieces
 from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, save_project
 from app.model.settings import load_settings
 from benchmarks.readers.inputs import CHANGES, documents, places, poisoned
-from benchmarks.readers.rules import refused
+from benchmarks.readers.rules import result_or_refusal
 from engine.scene.plane import Plane
 from tests.helpers.solids import scatter
 from training.families import Family
 from training.request import Request, read_request
 
 __all__ = ["COLOURS", "JOBS", "MOVES", "REQUESTS", "SETTINGS", "check_colours", "check_job", "check_meant_project",
-           "check_request", "check_settings", "meant"]  # fmt: skip
+           "check_request", "check_settings", "misplaced"]  # fmt: skip
 
 NUMBERS: tuple[Any, ...] = (0, -1, 1, 2, 3, 7, 255, 2**31, 2**53, 2**53 + 1, 2**63, 10**18, 1e-9, 0.5, 1e9, 1e12, -1e12)
 TEXTS = ("", " ", "horizontal", "Knife 9", "Knife ²", "Knife " + "9" * 5000, "Piece 1", "../../a.ply", "..", ".", "~",
@@ -44,7 +44,7 @@ MOVES = st.lists(
 )
 
 
-def meant(record: Any, moves: list[tuple[float, float, int, int]]) -> Any:
+def misplaced(record: Any, moves: list[tuple[float, float, int, int]]) -> Any:
     """The record with values swapped, copied, repeated, left out of lists, or taken from `NUMBERS` and `TEXTS`."""
     record = copy.deepcopy(record)
     for where, other, how, which in moves:
@@ -101,13 +101,13 @@ def check_meant_project(record: Any, folder: Path) -> bool:
     path = folder / "a.fruitninja"
     path.write_bytes(json.dumps(record).encode("utf-8", "surrogatepass"))
     try:
-        inside = refused(lambda: load_project(path), folder)
+        inside = result_or_refusal(lambda: load_project(path), folder)
     except Outside:
         inside = None
     if inside is not None:
         for name in (path for document in inside.documents for path in named(document)):
             assert os.path.realpath(name).startswith(os.path.realpath(folder)), f"it leads out: {name}"
-    project = refused(lambda: load_project(path, outside=True), folder)
+    project = result_or_refusal(lambda: load_project(path, outside=True), folder)
     if project is None:
         return False
     document = project.documents[0]
@@ -141,14 +141,14 @@ REQUEST = Request(
     "draft", (0.0, 0.0, 1.0), 7, 50, "stable-diffusion", Path("/model"), Path("/midas"), "bread",
 )  # fmt: skip
 REQUESTS: st.SearchStrategy[bytes] = documents(json.loads(REQUEST.to_json())) | st.builds(
-    lambda moves: json.dumps(meant(json.loads(REQUEST.to_json()), moves)).encode("utf-8", "surrogatepass"), MOVES
+    lambda moves: json.dumps(misplaced(json.loads(REQUEST.to_json()), moves)).encode("utf-8", "surrogatepass"), MOVES
 )
 
 
 def check_request(data: bytes, folder: Path) -> bool:
     path = folder / "request.json"
     path.write_bytes(data)
-    request = refused(lambda: read_request(path), folder)
+    request = result_or_refusal(lambda: read_request(path), folder)
     if request is None:
         return False
     assert all(file.is_absolute() for file in request.files), "a relative path"
@@ -179,8 +179,9 @@ def lines(record: Any) -> bytes:
 
 
 JOBS: st.SearchStrategy[tuple[bytes, bytes]] = st.tuples(
-    documents(NOTE) | st.builds(lambda moves: json.dumps(meant(NOTE, moves)).encode("utf-8", "surrogatepass"), MOVES),
-    st.builds(lambda moves, changes: lines(poisoned(meant(EVENTS, moves), changes)), MOVES, st.just([]) | CHANGES),
+    documents(NOTE)
+    | st.builds(lambda moves: json.dumps(misplaced(NOTE, moves)).encode("utf-8", "surrogatepass"), MOVES),
+    st.builds(lambda moves, changes: lines(poisoned(misplaced(EVENTS, moves), changes)), MOVES, st.just([]) | CHANGES),
 )
 
 
@@ -194,10 +195,10 @@ def check_job(value: tuple[bytes, bytes], folder: Path) -> bool:
         note = note_path(out)
         save_project(note.with_suffix(SUFFIX), Project((asked,), Viewing()))
         note.write_bytes(value[0])
-        found = refused(lambda: Job.find(out), out, home)
+        found = result_or_refusal(lambda: Job.find(out), out, home)
     job = found or Job(asked, 0, 0.0, ended=True)
     job.ended = True  # whatever process it names, it is none of ours
-    refused(job.poll, out)
+    result_or_refusal(job.poll, out)
     assert job.phase in ("done", "stopped", "failed")
     job.log_tail()
     assert 0 <= job.progress.stage_fraction <= 1 and 0 <= job.progress.fraction <= 1, "progress outside [0, 1]"
@@ -235,7 +236,7 @@ def check_colours(data: bytes, folder: Path) -> bool:
     checkpoint = folder / "out/checkpoint"
     checkpoint.mkdir(parents=True, exist_ok=True)
     (checkpoint / "training.safetensors").write_bytes(data)
-    found = refused(lambda: LiveColours(folder / "out").newer(ATOMS), checkpoint)
+    found = result_or_refusal(lambda: LiveColours(folder / "out").newer(ATOMS), checkpoint)
     if found is None:
         return False
     for part in (found.surface, found.interior):
@@ -265,7 +266,7 @@ SETTINGS: st.SearchStrategy[bytes] = documents(
 def check_settings(data: bytes, folder: Path) -> bool:
     path = folder / "settings.json"
     path.write_bytes(data)
-    found = refused(lambda: load_settings(path), folder)
+    found = result_or_refusal(lambda: load_settings(path), folder)
     assert found.theme in ("dark", "light")
     assert len(found.window) == 2 and all(200 <= side < 1 << 15 for side in found.window), f"no window: {found.window}"
     for names in (found.recent, found.jobs, found.trusted):

@@ -14,7 +14,7 @@ from benchmarks.readers.guard import Forbidden, guarded
 from engine.errors import InputError
 from training.batch.manifest import ManifestErrors
 
-__all__ = ["Target", "refused", "words_wrong"]
+__all__ = ["Target", "result_or_refusal", "words_wrong"]
 
 LONGEST = 1000
 """Characters of the longest message a user is shown: a path, what is wrong with it, what to do."""
@@ -51,7 +51,7 @@ def words_wrong(text: str, *quoted: str) -> str:
     return f"in a programmer's words ('{found[0]}')" if found else ""
 
 
-def refused(read: Callable[[], Any], *near: Path) -> Any:
+def result_or_refusal(read: Callable[[], Any], *near: Path) -> Any:
     """The result of `read`, or None if it refuses properly: with an InputError of printable lines.
 
     `read` may read files in the folders `near`, and do nothing else.

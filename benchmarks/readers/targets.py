@@ -37,9 +37,9 @@ from benchmarks.readers.records import (
     check_meant_project,
     check_request,
     check_settings,
-    meant,
+    misplaced,
 )
-from benchmarks.readers.rules import Target, refused
+from benchmarks.readers.rules import Target, result_or_refusal
 from engine.io.load import load
 from engine.io.splats.ply import read_ply, write_ply
 from engine.io.trained import Meta, load_trained, save_trained, sidecar_path
@@ -57,7 +57,7 @@ __all__ = ["TARGETS", "Target"]
 def check_scene(data: bytes, folder: Path, name: str = "a.ply") -> bool:
     path = folder / name
     path.write_bytes(data)
-    loaded = refused(lambda: load(path), folder)
+    loaded = result_or_refusal(lambda: load(path), folder)
     if loaded is None:
         return False
     g = loaded.gaussians
@@ -104,8 +104,8 @@ def project_record() -> Any:
 def check_project(data: bytes, folder: Path) -> bool:
     path = folder / "a.fruitninja"
     path.write_bytes(data)
-    refused(lambda: load_project(path), folder)
-    project = refused(lambda: load_project(path, outside=True), folder)
+    result_or_refusal(lambda: load_project(path), folder)
+    project = result_or_refusal(lambda: load_project(path, outside=True), folder)
     if project is None:
         return False
     save_project(folder / "b.fruitninja", project)
@@ -138,7 +138,7 @@ def foreign_checkpoint(facts: Any, run: str) -> bytes:
 
 def check_checkpoint(data: bytes, folder: Path) -> bool:
     (folder / "training.safetensors").write_bytes(data)
-    kept = refused(lambda: Checkpoint(folder, "run").load("training"), folder)
+    kept = result_or_refusal(lambda: Checkpoint(folder, "run").load("training"), folder)
     if kept is None:
         return False
     arrays, facts = kept
@@ -167,7 +167,7 @@ def check_trained(value: tuple[bytes, bytes], folder: Path, good: bytes = TRAINE
     path = folder / f"t{suffix}"
     sidecar_path(path).write_bytes(value[0])
     path.write_bytes(value[1])
-    loaded = refused(lambda: load_trained(path), folder)
+    loaded = result_or_refusal(lambda: load_trained(path), folder)
     if loaded is None:
         return False
     assert value[1] == good, "another file's atoms"
@@ -199,9 +199,9 @@ BALL = Body(CUBES, (1 - np.linalg.norm(CUBES.centres(), axis=-1)).astype(np.floa
 
 def check_arguments(value: tuple[list[str], list[str], str], folder: Path) -> bool:
     families, prompts, word = value
-    axis = refused(lambda: parse_axis(word, "--up"))
+    axis = result_or_refusal(lambda: parse_axis(word, "--up"))
     assert axis is None or (np.isfinite(axis).all() and any(axis))
-    found = refused(lambda: parse_families([], families, [p.replace(":", "=", 1) for p in prompts], False))
+    found = result_or_refusal(lambda: parse_families([], families, [p.replace(":", "=", 1) for p in prompts], False))
     for family in found or ():
         planes = family.planes(BALL, np.array([0.0, 0.0, 1.0]))
         assert len(planes) == (len(family.custom) or family.count)
@@ -219,7 +219,7 @@ def planes(draw: st.DrawFn) -> tuple[list[float], float]:
 
 
 def check_plane(value: tuple[list[float], float], folder: Path) -> bool:
-    plane = refused(lambda: Plane.of(*value))
+    plane = result_or_refusal(lambda: Plane.of(*value))
     if plane is None:
         return False
     assert np.isfinite([*plane.normal, plane.offset]).all(), plane
@@ -276,7 +276,7 @@ def check_manifest(data: bytes, folder: Path) -> bool:
         (folder / "a.ply").write_bytes(b"")
     path = folder / "all.toml"
     path.write_bytes(data)
-    scenes = refused(lambda: read_manifest(path), folder)
+    scenes = result_or_refusal(lambda: read_manifest(path), folder)
     if scenes is None:
         return False
     assert scenes
@@ -326,7 +326,7 @@ TARGETS: dict[str, Target] = {
     ),
     "trained": Target(
         st.tuples(
-            documents(SIDECAR) | st.builds(lambda moves: json_bytes(meant(SIDECAR, moves)), MOVES),
+            documents(SIDECAR) | st.builds(lambda moves: json_bytes(misplaced(SIDECAR, moves)), MOVES),
             st.just(TRAINED) | st.builds(broken, st.just(TRAINED), JUNK),
         ),
         quiet(check_trained),
@@ -334,7 +334,7 @@ TARGETS: dict[str, Target] = {
     ),
     "compact": Target(
         st.tuples(
-            documents(COMPACT_SIDECAR) | st.builds(lambda moves: json_bytes(meant(COMPACT_SIDECAR, moves)), MOVES),
+            documents(COMPACT_SIDECAR) | st.builds(lambda moves: json_bytes(misplaced(COMPACT_SIDECAR, moves)), MOVES),
             st.just(COMPACT_OBJECT) | st.builds(broken, st.just(COMPACT_OBJECT), JUNK),
         ),
         quiet(lambda value, folder: check_trained(value, folder, COMPACT_OBJECT, ".spz")),
@@ -344,12 +344,12 @@ TARGETS: dict[str, Target] = {
     "plane": Target(planes(), quiet(check_plane), 0.05),
     "manifest": Target(
         st.builds(manifest, st.builds(poisoned, st.just(SCENES), CHANGES), st.just([]) | JUNK)
-        | st.builds(manifest, st.builds(meant, st.just(SCENES), MOVES), st.just([])),
+        | st.builds(manifest, st.builds(misplaced, st.just(SCENES), MOVES), st.just([])),
         quiet(check_manifest),
         0.05,
     ),
     "events": Target(documents(EVENT), quiet(check_event), 0.05),
-    "meaning": Target(st.builds(meant, st.just(project_record()), MOVES), quiet(check_meant_project), 0.05),
+    "meaning": Target(st.builds(misplaced, st.just(project_record()), MOVES), quiet(check_meant_project), 0.05),
     "job": Target(JOBS, quiet(check_job), 0.05),
     "request": Target(REQUESTS, quiet(check_request), 0.05),
     "colours": Target(COLOURS, quiet(check_colours), 0.05),

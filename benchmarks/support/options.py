@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 """Folder of the project."""
 
 CHARTS = ROOT / "docs/charts"
-"""Where a full run writes by default: the charts of the README."""
+"""Where a full run writes by default: the charts of docs/MEASURED.md."""
 
 
 def parser_of(text: str | None, quick: str) -> argparse.ArgumentParser:

@@ -15,7 +15,7 @@ from engine.export.colours import Colours
 from engine.export.particles import particles_of, save_particles
 from engine.export.voxels import voxels_of
 from engine.io.trained import Meta, provenance
-from engine.io.writers.about import About
+from engine.io.writers.provenance import Provenance
 from engine.io.writers.solid_gaussians import piece_gaussians
 from engine.io.writers.splats import SPLAT_WRITERS, write_splats
 from engine.scene.atoms import Atoms
@@ -24,7 +24,7 @@ from engine.scene.inside import KIND_NAMES, Inside
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["KINDS", "SUFFIXES", "Export", "Kind", "kind_of", "write_export"]
+__all__ = ["KINDS", "SUFFIXES", "Export", "ExportKind", "kind_of", "write_export"]
 
 Ink = tuple[int, int, int]
 """sRGB, range [0, 255]."""
@@ -63,7 +63,7 @@ class Export:
 
 
 @dataclass(frozen=True)
-class Kind:
+class ExportKind:
     """A way to export an object to other programs."""
 
     suffixes: tuple[str, ...]
@@ -94,7 +94,7 @@ def write_export(export: Export, name: str | None = None) -> str:
     return kind.write(export)
 
 
-def kind_of(out: Path, name: str | None) -> Kind:
+def kind_of(out: Path, name: str | None) -> ExportKind:
     """The kind of this name, or else of the file's suffix. Raises InputError if they do not fit."""
     if name is not None and name not in KINDS:
         raise InputError(f"'{name}': no kind of export; choose {', '.join(KINDS)}")
@@ -110,19 +110,19 @@ def kind_of(out: Path, name: str | None) -> Kind:
 def write_atoms(export: Export) -> str:
     """The atoms whose centres are kept, as Gaussians."""
     gaussians = piece_gaussians(export.atoms, [Piece(export.planes)])
-    about = About(export.meta.up, tuple(provenance(export.meta)))
+    about = Provenance(export.meta.up, tuple(provenance(export.meta)))
     write_splats(export.out, gaussians, about)
     return f"{len(gaussians):,} Gaussians"
 
 
 def write_mesh(export: Export) -> str:
     """Closed meshes with textured cut faces."""
-    from engine.export.meshes.cutting import Wanted
+    from engine.export.meshes.cutting import MeshOptions
     from engine.export.meshes.files import save_mesh
     from engine.export.meshes.textured import textured_pieces
 
     body, colours = solid_of(export)
-    wanted = export.planes if export.pieces else [Wanted(export.source.stem, (export.planes,))]
+    wanted = export.planes if export.pieces else [MeshOptions(export.source.stem, (export.planes,))]
     made = textured_pieces(body, colours, wanted, export.step, str(export.out))
     save_mesh(export.out, made, export.meta.up, export.metres)
     height, width = made.texture.shape[:2]
@@ -166,11 +166,11 @@ def solid_of(export: Export) -> tuple[Body, Colours]:
     return body_of(export.atoms, str(export.source)), Colours(export.atoms, export.inside)
 
 
-KINDS: dict[str, Kind] = {
-    "splats": Kind(tuple(SPLAT_WRITERS), write_atoms),
-    "mesh": Kind((".glb", ".obj", ".3mf"), write_mesh, divides=True),
-    "volume": Kind((".nii.gz", ".nii", ".nrrd", ".zarr", STACK), write_volume),
-    "particles": Kind((".npz", ".usda", ".usdc"), write_particles),
+KINDS: dict[str, ExportKind] = {
+    "splats": ExportKind(tuple(SPLAT_WRITERS), write_atoms),
+    "mesh": ExportKind((".glb", ".obj", ".3mf"), write_mesh, divides=True),
+    "volume": ExportKind((".nii.gz", ".nii", ".nrrd", ".zarr", STACK), write_volume),
+    "particles": ExportKind((".npz", ".usda", ".usdc"), write_particles),
 }
 """The kinds by name. If several write a suffix, the first is used unless another is named."""
 

@@ -25,7 +25,7 @@ __all__ = ["ShFit", "SurfaceView", "fit_sh", "surface_views", "views_after"]
 
 Float = NDArray[np.float32]
 
-OPAQUE = 0.95
+OPAQUE_FROM = 0.95
 """Alpha of the capture from which a pixel shows the object alone. Below it the background shines through, and opaque
 atoms must not learn that."""
 
@@ -87,7 +87,7 @@ def surface_views(
     for index, camera in enumerate(cameras):
         image = classic.render(gaussians, camera, (1.0, 1.0, 1.0))
         weights = ViewWeights.surface(atoms, camera).truncated(keep)
-        result.append(SurfaceView(camera, weights, np.clip(image.rgb, 0, 1), image.alpha > OPAQUE))
+        result.append(SurfaceView(camera, weights, np.clip(image.rgb, 0, 1), image.alpha > OPAQUE_FROM))
         progress((index + 1) / len(cameras))
     return result
 

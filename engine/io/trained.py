@@ -28,7 +28,7 @@ from engine.io.splats.ply import ply_data, read_ply
 from engine.io.splats.spz import read_spz
 from engine.io.splats.spz_sizes import refined_sizes, size_remainders
 from engine.io.strict_json import parse
-from engine.io.writers.solid_gaussians import OPAQUE
+from engine.io.writers.solid_gaussians import ATOM_OPACITY
 from engine.io.writers.spz import spz_bytes, spz_unit
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
@@ -128,7 +128,7 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
     writing fails.
     """
     path = Path(path)
-    gaussians = atoms.as_gaussians(OPAQUE)
+    gaussians = atoms.as_gaussians(ATOM_OPACITY)
     broken = [name for name, values in vars(gaussians).items() if not np.isfinite(values).all()]
     assert not broken, f"NaN or Inf in the atoms' {broken}"
     assert (gaussians.scales > 0).all(), "scales that are not above 0"

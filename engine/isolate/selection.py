@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from engine.errors import InputError
 from engine.isolate.bodies import find_bodies
 from engine.isolate.floor import find_floor
-from engine.isolate.surroundings import find_middle
+from engine.isolate.surroundings import object_ball
 from engine.isolate.touching import grow
 from engine.scene.gaussians import Gaussians
 from engine.scene.plane import Plane
@@ -288,7 +288,7 @@ def _contained(gaussians: Gaussians, shape: Shape) -> NDArray[np.bool_]:
     if not isinstance(shape, Detected):
         return shape.contains(gaussians.means)
     if shape.kind == "surroundings":
-        middle = find_middle(gaussians)
+        middle = object_ball(gaussians)
         return np.zeros(len(gaussians), bool) if middle is None else ~Sphere(*middle).contains(gaussians.means)
     if shape.kind == "floor":
         floor = find_floor(gaussians)

@@ -14,7 +14,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.rotations import normalised_quats, rotation_matrices
 from engine.solid.denoise_capture import HAZE_OPACITY
 
-__all__ = ["find_middle"]
+__all__ = ["object_ball"]
 
 Double = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ SAMPLES = 50_000
 """Most Gaussians that are looked at."""
 
 
-def find_middle(gaussians: Gaussians) -> tuple[tuple[float, float, float], float] | None:
+def object_ball(gaussians: Gaussians) -> tuple[tuple[float, float, float], float] | None:
     """Centre and radius, in world units, of a ball that holds the object of a capture with surroundings.
 
     None if there are no surroundings. Cameras see all of an object from twice its reach or more, and there is nothing

@@ -40,7 +40,7 @@ class Solid:
     def of(name: str, families: tuple[Kind, ...], skin_depth: Field, skin_colour: Field) -> Solid:
         """A solid whose bounds are measured on its skin, in 8192 directions from the origin."""
         solid = Solid(name, families, skin_depth, skin_colour, np.zeros((2, 3)))
-        points = solid.skin(directions(8192))
+        points = solid.skin_points(directions(8192))
         return Solid(name, families, skin_depth, skin_colour, np.stack([points.min(0), points.max(0)]))
 
     def depth(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -56,7 +56,7 @@ class Solid:
         flat = np.ascontiguousarray(np.reshape(points, (-1, 3)), np.float64)
         return self.skin_colour(flat).reshape(np.shape(points))
 
-    def skin(self, rays: NDArray[np.floating]) -> NDArray[np.float64]:
+    def skin_points(self, rays: NDArray[np.floating]) -> NDArray[np.float64]:
         """(M, 3). Where rays from the origin in unit directions (M, 3) leave the solid, to 1e-6.
 
         By regula falsi with the Illinois modification: as robust as bisection with a third of its evaluations.

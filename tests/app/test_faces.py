@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from app.jobs.face_finder import FoundFace, find_face_in
-from app.jobs.placement_preview import Placed, PlacementPreview, Wanted
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.placement_preview import Placed, PlacementPreview, PlacementRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.jobs.training_job import request_for
 from app.model.autosave import Autosave
 from app.model.document import Document
@@ -65,7 +65,7 @@ def session_with(folder: Path, kind: Kind, path: Path) -> Session:
     document = Document(scene=folder / "ball.ply").with_exemplars(kind, (path,))
     session.history = History(Work((document,)))
     atoms = ball_of_atoms()
-    session.loaded[0] = LoadedScene(
+    session.loaded[0] = LoadedObject(
         SceneRequest(folder / "ball.ply"), atoms=atoms, solid=Solid.of(atoms.interior.means), up=(0.0, 0.0, 1.0)
     )
     return session
@@ -296,7 +296,7 @@ def test_a_picture_follows_its_outline_and_axis_on_the_object(tmp_path: Path, me
 
 def test_of_many_wishes_the_preview_makes_the_last(melon: Path) -> None:
     found, preview = find_face_in(melon), PlacementPreview()
-    wanted = Wanted(found.rgb, found.marks, Family("horizontal", 1), ball_of_atoms(), (0.0, 0.0, 1.0))
+    wanted = PlacementRequest(found.rgb, found.marks, Family("horizontal", 1), ball_of_atoms(), (0.0, 0.0, 1.0))
     places = [(0.5, 0.3 + 0.02 * step) for step in range(20)]
     for place in places:
         preview.update(replace(wanted, marks=replace(found.marks, core=place)))  # never waits

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.autosave import Autosave, find_unsaved_work
 from app.model.document import Document, Part
 from app.model.history import History
@@ -197,7 +197,7 @@ def test_what_the_user_does_not_save_is_not_kept(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     session = Session(history=History(Work((Document(scene=tmp_path / "melon.ply"),))))
     monkeypatch.setattr(session.scene, "load", lambda *_, **__: None)
-    session.object = LoadedScene(SceneRequest(tmp_path / "melon.ply"))
+    session.object = LoadedObject(SceneRequest(tmp_path / "melon.ply"))
     session.change("Up", replace(session.document, up=(0.0, 1.0, 0.0)))
     session.tick()
     assert session.autosave.file.exists()
@@ -280,7 +280,9 @@ def test_what_cannot_be_read_leaves_what_is_open(tmp_path: Path, monkeypatch: py
     session, solid = Session(), atoms()
     document = Document(scene=tmp_path / "melon.ply")
     session.history = History(Work((document,)))
-    session.object = LoadedScene(SceneRequest(tmp_path / "melon.ply"), None, solid, Solid.of_atoms(solid), trained=True)
+    session.object = LoadedObject(
+        SceneRequest(tmp_path / "melon.ply"), None, solid, Solid.of_atoms(solid), trained=True
+    )
     session.change("Cut", document.with_cut((Part(Plane.of((0, 0, 1), 0.0)),)))
     shown, history, path = session.object, session.history, tmp_path / "melon.fruitninja"
     session.path = path

@@ -13,7 +13,7 @@ import pytest
 
 import training.request
 from app.jobs import scene_loader, scene_worker
-from app.jobs.scene_loader import LoadedScene, SceneLoader, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneLoader, SceneRequest
 from app.model.autosave import Autosave
 from app.model.camera_control import project_points
 from app.model.capture_view import view_of
@@ -146,7 +146,7 @@ def test_a_result_of_another_part_of_the_capture_is_not_shown(tmp_path: Path) ->
 def test_nothing_is_removed_without_a_selection_and_not_everything() -> None:
     capture = ball()
     session = Session(history=History(Work((Document(scene=Path("melon.ply")),))))
-    session.object = LoadedScene(SceneRequest(Path("melon.ply")), capture)
+    session.object = LoadedObject(SceneRequest(Path("melon.ply")), capture)
 
     def settle() -> None:
         session.isolation.tick()
@@ -183,7 +183,7 @@ def test_a_scene_that_is_opened_is_shown_without_its_surroundings(
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     session.files.open(scene)
 
-    def read(without: bool) -> LoadedScene:
+    def read(without: bool) -> LoadedObject:
         start = time.monotonic()
         while (
             (seen := session.object) is None

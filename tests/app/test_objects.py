@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from app.jobs.results import default_out, result_folder
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Training
 from app.model.history import History
@@ -59,7 +59,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     scene = tmp_path / "two.ply"
     made = Session(history=History(Work((Document(scene=scene),))), viewing=Viewing(EYE, "solid"))
-    made.object = LoadedScene(SceneRequest(scene), CAPTURE, None, Solid.of(CAPTURE.means))
+    made.object = LoadedObject(SceneRequest(scene), CAPTURE, None, Solid.of(CAPTURE.means))
     settle(made)
     return made
 
@@ -69,7 +69,7 @@ def make_solid(session: Session) -> None:
         left = CAPTURE[~removed(CAPTURE, document.isolation)]
         atoms = moved(ball(1 / 12, degree=0), float(left.means[:, 0].mean()))
         request = SceneRequest(Path("two.ply"), isolation=document.isolation)
-        session.loaded[document.number] = LoadedScene(request, CAPTURE, atoms, Solid.of_atoms(atoms))
+        session.loaded[document.number] = LoadedObject(request, CAPTURE, atoms, Solid.of_atoms(atoms))
         session.activate(index, False)
 
 
@@ -77,7 +77,7 @@ def test_strokes_through_what_is_not_solid_yet_are_done_when_it_is(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Loading:
-        ended, announced, error, scene = False, False, "", LoadedScene(SceneRequest(Path("two.ply")))
+        ended, announced, error, scene = False, False, "", LoadedObject(SceneRequest(Path("two.ply")))
 
         def poll(self) -> bool:
             return False
@@ -116,7 +116,7 @@ def test_separate_bodies_become_objects_once_and_undo_makes_them_one(session: Se
 
 def test_a_project_that_was_saved_as_one_object_stays_one(session: Session, tmp_path: Path) -> None:
     other = Session(history=History(Work((Document(scene=tmp_path / "two.ply"),))), path=tmp_path / "a.fruitninja")
-    other.object = LoadedScene(SceneRequest(tmp_path / "two.ply"), CAPTURE, None, Solid.of(CAPTURE.means))
+    other.object = LoadedObject(SceneRequest(tmp_path / "two.ply"), CAPTURE, None, Solid.of(CAPTURE.means))
     settle(other)
     assert len(other.documents) == 1
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from app.jobs.detail_reader import DetailReader
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera, project_points
 from app.model.capture_view import view_of
 from app.model.pieces import Solid, pieces
@@ -66,7 +66,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     atoms = ball()
     made = Session(settings=Settings(), viewing=Viewing(EYE, "solid"))
-    made.object = LoadedScene(SceneRequest(tmp_path / "ball.ply"), None, atoms, Solid.of_atoms(atoms))
+    made.object = LoadedObject(SceneRequest(tmp_path / "ball.ply"), None, atoms, Solid.of_atoms(atoms))
     made.geometry_version = 1
     return made
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.autosave import Autosave
 from app.model.camera_control import OrbitCamera, project_points
 from app.model.document import Document
@@ -63,7 +63,7 @@ def test_the_game_changes_nothing_unless_it_is_kept(tmp_path: Path, monkeypatch:
     document = Document(scene=Path("melon.ply"))
     session = Session(history=History(Work((document,))), viewing=Viewing(EYE), autosave=Autosave(tmp_path))
     atoms = ball(1 / 8)
-    session.object = LoadedScene(SceneRequest(Path("melon.ply")), atoms=atoms, solid=Solid.of_atoms(atoms))
+    session.object = LoadedObject(SceneRequest(Path("melon.ply")), atoms=atoms, solid=Solid.of_atoms(atoms))
     clock = 50.0
     session.throw.clock = lambda: clock
     for keep in (False, True):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera, project_points
 from app.model.pieces import Solid
 from app.model.project import Project, load_project, save_project
@@ -36,7 +36,7 @@ def cube(n=3000, noise=0.004):
 def session_with(points) -> Session:
     capture = round_gaussians(points)
     session = Session()
-    session.object = LoadedScene(SceneRequest(Path("cube.ply")), capture, None, Solid.of(capture.means))
+    session.object = LoadedObject(SceneRequest(Path("cube.ply")), capture, None, Solid.of(capture.means))
     session.fit()
     return session
 

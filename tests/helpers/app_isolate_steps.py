@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from imgui_bundle import imgui
 
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Training
 from app.model.history import History
@@ -177,7 +177,7 @@ def two_balls(session: Session, scene: Path) -> None:
     )
     for document, atoms in zip(session.documents, solids, strict=True):
         request = SceneRequest(scene, isolation=document.isolation)
-        session.loaded[document.number] = LoadedScene(request, capture, atoms, Solid.of_atoms(atoms))
+        session.loaded[document.number] = LoadedObject(request, capture, atoms, Solid.of_atoms(atoms))
         session.scene._isolations[document.number] = document.isolation
     session.geometry_version += 1
     session.viewing = Viewing(OrbitCamera(azimuth=-90.0, elevation=10.0, distance=4.0), "solid")

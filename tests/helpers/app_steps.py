@@ -18,7 +18,7 @@ from imgui_bundle import imgui
 from numpy.typing import NDArray
 from PIL import Image
 
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import AXIS_VIEWS, project_points
 from app.model.document import Document, Training
 from app.model.history import History
@@ -97,7 +97,7 @@ def at_once(
 
     def start(session: Session) -> None:
         session.history = History(Work((document,)))
-        session.object = LoadedScene(SceneRequest(scene), capture, atoms, Solid.of_atoms(atoms))
+        session.object = LoadedObject(SceneRequest(scene), capture, atoms, Solid.of_atoms(atoms))
         session.geometry_version += 1
         session.fit()
 

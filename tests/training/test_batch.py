@@ -78,7 +78,7 @@ def wait_for(process: subprocess.Popen[str], events: Path, text: str) -> str:
     raise AssertionError(f"no {text} in {events}: {process.communicate()[1]}")
 
 
-def handle_end(out: Path) -> dict[str, tuple[str, int]]:
+def outcomes(out: Path) -> dict[str, tuple[str, int]]:
     scenes = json.loads((out / "batch.json").read_text())["scenes"]
     return {scene["name"]: (scene["status"], scene["attempts"]) for scene in scenes}
 
@@ -101,15 +101,15 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
     assert "the same command goes on" in message
     assert "Traceback" not in message
     assert process.returncode == 130
-    assert handle_end(out)["killed"] == ("stopped", 2)
+    assert outcomes(out)["killed"] == ("stopped", 2)
 
     process = command(manifest, out, "--workers", "1")
     message = process.communicate()[1]
     assert process.returncode == 1
     assert f"fruitninja-batch: broken: {tmp_path / 'broken.ply'}: broken .ply header" in message
     assert "Traceback" not in message
-    assert handle_end(out)["broken"] == ("failed", 2)
-    assert {handle_end(out)[name][0] for name in ("killed", "bread")} <= {"done", "kept"}
+    assert outcomes(out)["broken"] == ("failed", 2)
+    assert {outcomes(out)[name][0] for name in ("killed", "bread")} <= {"done", "kept"}
 
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
@@ -129,7 +129,7 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code == 0
-    assert handle_end(out) == {"killed": ("kept", 0), "bread": ("kept", 0)}
+    assert outcomes(out) == {"killed": ("kept", 0), "bread": ("kept", 0)}
     assert (out / "killed/orange.ply").stat().st_mtime_ns == when
 
 
@@ -142,7 +142,7 @@ def test_a_disk_that_was_full_costs_no_bit(tmp_path: Path, monkeypatch: pytest.M
     assert len(lines) == 2 and "Traceback" not in message
     file = out / "orange/checkpoint/training.safetensors"
     assert lines[0].startswith(f"orange: {file}: cannot be written (I/O error: No space left")
-    assert handle_end(out) == {"orange": ("done", 2)}
+    assert outcomes(out) == {"orange": ("done", 2)}
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
     run(read_manifest(manifest)[0].request, tmp_path / "single", Reporter(), False, lambda: False)

@@ -129,7 +129,7 @@ def test_the_thigh_is_a_solid_like_the_others():
     inside = solid.depth(points) > 0
     assert inside.mean() * np.prod(high - low) == pytest.approx(volume, rel=0.03)
     # Skin and flesh are red rather than blue; the background of the photographs is blue.
-    red, _, blue = solid.colour(solid.skin(directions(500))).T
+    red, _, blue = solid.colour(solid.skin_points(directions(500))).T
     assert (red > blue).mean() > 0.99
     flesh = solid.colour(points[inside])
     assert flesh.min() >= 0
@@ -239,9 +239,9 @@ def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeyp
     monkeypatch.setattr(grid, "ProcessPoolExecutor", Here)
     arguments = ["--scenes", "bread", "--methods", "ours,physgaussian", "--cuts", "6", "-o", str(tmp_path)]
     monkeypatch.setattr("sys.argv", ["fruitninja-evaluate", *arguments])
-    with pytest.raises(SystemExit) as handle_end:
+    with pytest.raises(SystemExit) as ended:
         cli.main()
-    assert handle_end.value.code == 0
+    assert ended.value.code == 0
     assert called == ["physgaussian"]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     # Self-contained: everything it refers to is in it.
@@ -314,9 +314,9 @@ def test_a_grid_without_results_says_why(tmp_path):
 )
 def test_bad_input_gets_one_line(arguments, said, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["fruitninja-evaluate", *arguments, "-o", str(tmp_path)])
-    with pytest.raises(SystemExit) as handle_end:
+    with pytest.raises(SystemExit) as ended:
         cli.main()
-    assert handle_end.value.code == 2
+    assert ended.value.code == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert said.replace("draft, standard or high", "choose draft") in error

@@ -34,7 +34,7 @@ def rays(count: int, seed: int = 5) -> np.ndarray:
 
 def test_depth_is_a_distance_at_the_skin(solid: Solid) -> None:
     """Zero on the skin, slope one, and a true distance to either side of it for two per cent of the size."""
-    points = solid.skin(rays(2000))
+    points = solid.skin_points(rays(2000))
     assert np.abs(solid.depth(points)).max() < 1e-5
     step = 1e-3 * np.eye(3)
     slope = np.stack([solid.depth(points + e) - solid.depth(points - e) for e in step], axis=-1) / 2e-3
@@ -49,7 +49,7 @@ def test_body_fills_its_bounds(solid: Solid) -> None:
     low, high = solid.bounds
     assert 1.9 < (high - low).max() < 2.1
     assert np.abs((low + high) / 2).max() < 0.08
-    beyond = np.concatenate([solid.skin(rays(500)) * 1.02, [[1.2, 0, 0], [0, 0, 1.3]]])
+    beyond = np.concatenate([solid.skin_points(rays(500)) * 1.02, [[1.2, 0, 0], [0, 0, 1.3]]])
     assert (solid.depth(beyond) < 0).all()
     # The middle is deep everywhere: no rind or crust may appear there.
     column = np.linspace(-0.3, 0.3, 61)
@@ -169,7 +169,7 @@ def assert_closed(solid: Solid, gaussians) -> None:
     """No skin point is farther than the core of a splat, 1.18 standard deviations, from a nearly opaque Gaussian."""
     firm = gaussians[gaussians.opacities >= NEARLY_OPAQUE]
     firm = firm[np.abs(solid.depth(firm.means)) < 1e-3]
-    points = solid.skin(directions(6007))
+    points = solid.skin_points(directions(6007))
     near = cKDTree(firm.means).query(points, 16)[1]
     axes = Rotation.from_quat(firm.quats, scalar_first=True).as_matrix()
     in_plane = np.einsum("mki,mkij->mkj", points[:, None] - firm.means[near], axes[near])[..., :2]

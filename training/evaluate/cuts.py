@@ -72,14 +72,14 @@ def make_cuts(solid: Solid, families: tuple[Family, ...], count: int) -> list[Cu
     e1, e2 = equator(up)
     for index in range(-(-count // CANONICAL)):
         family = families[index % len(families)]
-        normal, pixel_position = up, rng.uniform(-0.7, 0.7)
+        normal, place = up, rng.uniform(-0.7, 0.7)
         if family.kind == "radial":
-            angle, pixel_position = rng.uniform(0, np.pi), 0.0
+            angle, place = rng.uniform(0, np.pi), 0.0
             normal = np.cos(angle) * e1 + np.sin(angle) * e2
         elif family.kind == "parallel" and family.axis is not None:
             normal = np.asarray(family.axis)
-        planes.append((Plane.through(centre + pixel_position * half * normal, normal), family.kind))
-    radius = float(np.linalg.norm(solid.skin(directions(2048)) - centre, axis=1).max())
+        planes.append((Plane.through(centre + place * half * normal, normal), family.kind))
+    radius = float(np.linalg.norm(solid.skin_points(directions(2048)) - centre, axis=1).max())
     return [Cut(plane, section(plane, up, bounds, SIZE, radius), kind) for plane, kind in planes]
 
 

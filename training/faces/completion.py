@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from training.faces.edges import cheapest_path
 
-__all__ = ["MIN_SEEN", "NEAR_BORDER", "Oval", "complete_face", "find_oval"]
+__all__ = ["MIN_SEEN", "NEAR_BORDER", "Oval", "complete_face", "find_oval", "is_cut_off"]
 
 MIN_SEEN = 0.75
 """Least fraction of a face that the picture shows for the rest to be completed: three quarters of a disc end where it
@@ -70,18 +70,31 @@ class Oval:
         return (places - self.centre) @ (self.axes / np.square(self.axes).sum(1, keepdims=True)).T
 
 
-def find_oval(mask: NDArray[np.bool_], sides: int) -> Oval | None:
-    """The ellipse of a face (H, W) that one to `sides` sides of the picture cut off; None if none does, if more do, if
-    the face is not round, or if less than MIN_SEEN of it is seen."""
+def is_cut_off(mask: NDArray[np.bool_]) -> bool:
+    """Whether the picture's border visibly cuts off a face (H, W); a cut-out that fills its picture is whole."""
+    return 0 < _sides_that_cut(mask) < 4
+
+
+def _sides_that_cut(mask: NDArray[np.bool_]) -> int:
+    """How many sides of the picture a face (H, W) lies on; 0 if it visibly lacks nothing."""
     rows, columns = np.nonzero(mask)
     if len(rows) == 0:
-        return None
-    height, width = mask.shape
+        return 0
     across = max(np.ptp(rows), np.ptp(columns)) + 1
     low, high = NEAR_BORDER - 1, -NEAR_BORDER
     touched = [int(side.sum()) for side in (mask[low], mask[high], mask[:, low], mask[:, high])]
-    if max(touched) <= MAX_CHORD * across or sum(n > max(NEAR_BORDER, MAX_CHORD / 4 * across) for n in touched) > sides:
+    if max(touched) <= MAX_CHORD * across:
+        return 0
+    return sum(n > max(NEAR_BORDER, MAX_CHORD / 4 * across) for n in touched)
+
+
+def find_oval(mask: NDArray[np.bool_], sides: int) -> Oval | None:
+    """The ellipse of a face (H, W) that one to `sides` sides of the picture cut off; None if none does, if more do, if
+    the face is not round, or if less than MIN_SEEN of it is seen."""
+    if not 0 < _sides_that_cut(mask) <= sides:
         return None
+    rows, columns = np.nonzero(mask)
+    height, width = mask.shape
     hull = cv2.convexHull(np.stack([columns, rows], -1).astype(np.int32))  # without dents that the search ate
     drawn = cv2.fillConvexPoly(np.zeros(mask.shape, np.uint8), hull, 1)
     outlines, _ = cv2.findContours(drawn, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

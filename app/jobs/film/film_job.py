@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import save_file
 
 from app.jobs.export import ANIMATIONS, MOST_BYTES
-from app.jobs.scene_loader import LoadedScene
+from app.jobs.scene_loader import LoadedObject
 from app.model.film.motion import frame_count
 from app.model.film.timeline import FilmLook
 from app.model.project import Project, save_project
@@ -47,7 +47,7 @@ class FilmRequest:
     """Which way is up in the view."""
     light: bool
     """Whether cut faces are lit."""
-    loaded: Mapping[int, LoadedScene]
+    loaded: Mapping[int, LoadedObject]
     """The objects that are solid, by the numbers of their documents, in the order of the documents."""
 
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from engine.export.meshes.surface import Skin
 from engine.scene.plane import Plane
 
-__all__ = ["Cut", "Wanted", "cut_skin", "divided"]
+__all__ = ["Cut", "MeshOptions", "cut_skin", "divided"]
 
 SLIVER = 1e-9
 """Share of the whole volume below which a piece is only rounding."""
@@ -28,7 +28,7 @@ SKIN = -1
 
 
 @dataclass(frozen=True)
-class Wanted:
+class MeshOptions:
     """A piece to cut out."""
 
     name: str
@@ -42,7 +42,7 @@ class Wanted:
 class Cut:
     """A piece as a closed mesh, still in the object's coordinates."""
 
-    wanted: Wanted
+    wanted: MeshOptions
     points: NDArray[np.float32]
     """(V, 3). World units. A point on an edge between skin and face occurs once for each, in the same place."""
     texels: NDArray[np.float32]
@@ -59,18 +59,18 @@ class Cut:
     """World units cubed."""
 
 
-def divided(skin: Skin, planes: Sequence[Plane]) -> list[Wanted]:
+def divided(skin: Skin, planes: Sequence[Plane]) -> list[MeshOptions]:
     """All pieces that planes divide an object into, those on the kept sides first."""
     parts: list[tuple[tuple[Plane, ...], Manifold]] = [((), skin.solid)]
     for plane in planes:
         halves = [((*sides, side), _kept(part, side)) for sides, part in parts for side in (plane, plane.flipped())]
         parts = [(sides, part) for sides, part in halves if part.volume() > SLIVER * skin.solid.volume()]
     if len(parts) == 1:
-        return [Wanted("whole", (parts[0][0],))]
-    return [Wanted(f"piece_{number}", (sides,)) for number, (sides, _) in enumerate(parts, 1)]
+        return [MeshOptions("whole", (parts[0][0],))]
+    return [MeshOptions(f"piece_{number}", (sides,)) for number, (sides, _) in enumerate(parts, 1)]
 
 
-def cut_skin(skin: Skin, wanted: Wanted) -> Cut | None:
+def cut_skin(skin: Skin, wanted: MeshOptions) -> Cut | None:
     """A piece of an object; None if there is nothing in it."""
     cells = []
     for planes in wanted.cells:

@@ -12,7 +12,7 @@ from scipy import ndimage
 from engine.errors import InputError
 from engine.export.colours import Colours
 from engine.export.meshes.charts import SIDES, packed, rasterised
-from engine.export.meshes.cutting import SKIN, Cut, Wanted, cut_skin, divided
+from engine.export.meshes.cutting import SKIN, Cut, MeshOptions, cut_skin, divided
 from engine.export.meshes.surface import GAP, Skin, skin_of
 from engine.scene.grid import Body
 from engine.scene.plane import Plane, frame
@@ -72,7 +72,7 @@ class _Chart:
 
 
 def textured_pieces(
-    body: Body, colours: Colours, wanted: Sequence[Wanted] | Sequence[Plane], texel: float | None, name: str
+    body: Body, colours: Colours, wanted: Sequence[MeshOptions] | Sequence[Plane], texel: float | None, name: str
 ) -> TexturedPieces:
     """Pieces of a body, or all that planes divide it into, with texels of this size, world units; None: of one that
     keeps all details of the inside.
@@ -83,7 +83,7 @@ def textured_pieces(
     size = colours.detail if texel is None else texel
     skin = skin_of(body, max(size, SKIN_DETAIL * colours.atoms.pitch))
     given = divided(skin, [w for w in wanted if isinstance(w, Plane)]) or []
-    pieces = [w for w in wanted if isinstance(w, Wanted)] or given
+    pieces = [w for w in wanted if isinstance(w, MeshOptions)] or given
     cuts = [cut for cut in (cut_skin(skin, piece) for piece in pieces) if cut is not None]
     if not cuts:
         raise InputError(f"{name}: nothing to save; no part of the object is there")

@@ -16,7 +16,7 @@ from engine.export.colours import WIDEN, Colours
 from engine.render.face_detail import RIM
 from engine.scene.grid import Body, Grid
 
-__all__ = ["Inside", "Layers", "pack_body", "pack_inside"]
+__all__ = ["Layers", "PackedInside", "pack_body", "pack_inside"]
 
 MOST_CELLS = 288
 """Most cells along the longest side: two or three pixels of a large window each. A cube has 36 MB on the graphics
@@ -61,7 +61,7 @@ class Layers:
 
 
 @dataclass(frozen=True)
-class Inside:
+class PackedInside:
     """Colours of the inside: brightness and, half as fine, the differences of blue and red from it."""
 
     grid: Grid
@@ -70,7 +70,7 @@ class Inside:
     red: Layers
 
 
-def pack_inside(body: Body, colours: Colours, progress: Callable[[float], None]) -> Inside:
+def pack_inside(body: Body, colours: Colours, progress: Callable[[float], None]) -> PackedInside:
     """The inside of a body, as fine as its detail and MOST_CELLS allow. `progress` gets the share that is done."""
     low, high = body.bounds()
     cell = max(FINER * colours.detail, float((high - low).max()) / (MOST_CELLS - 2))
@@ -90,7 +90,7 @@ def pack_inside(body: Body, colours: Colours, progress: Callable[[float], None])
             difference = (rgb[..., channel] - bright) / most
             hue[kind, layer // 2, layer % 2] = difference.reshape(y // 2, 2, x // 2, 2).mean((1, 3))
     blue, red = np.round(128 + 255 * hue.mean(2)).clip(0, 255).astype(np.uint8)
-    return Inside(grid, _layers(luma), _layers(blue), _layers(red))
+    return PackedInside(grid, _layers(luma), _layers(blue), _layers(red))
 
 
 def pack_body(body: Body, pitch: float) -> bytes:

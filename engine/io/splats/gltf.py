@@ -65,11 +65,11 @@ def read_gltf(path: str | Path, most: int | None = None) -> tuple[Gaussians, lis
     _refuse_packed(path, tree)
     with ExitStack() as opened:
         buffers = _Buffers(path, tree, after, opened)
-        fields: list[_Field] = []
-        known: dict[int, _Field] = {}
+        fields: list[_SplatPrimitive] = []
+        known: dict[int, _SplatPrimitive] = {}
         for place in placements(path, tree):
             shared = known.get(id(place.primitive))
-            field = _Field.of(path, tree, buffers, place) if shared is None else replace(shared, place=place)
+            field = _SplatPrimitive.of(path, tree, buffers, place) if shared is None else replace(shared, place=place)
             known[id(place.primitive)] = field
             fields.append(field)
         count = sum(field.count for field in fields)
@@ -217,7 +217,7 @@ class _Column:
 
 
 @dataclass(frozen=True)
-class _Field:
+class _SplatPrimitive:
     """The Gaussians of one primitive, where a node places them."""
 
     places: _Column
@@ -239,7 +239,7 @@ class _Field:
         return round(len(self.sh) ** 0.5) - 1
 
     @staticmethod
-    def of(path: Path, tree: dict[str, Any], buffers: _Buffers, place: Placement) -> _Field:
+    def of(path: Path, tree: dict[str, Any], buffers: _Buffers, place: Placement) -> _SplatPrimitive:
         """The field of a primitive. Raises InputError if it lacks something, or is damaged."""
         attributes = place.primitive.get("attributes")
         look = extensions(place.primitive)[GAUSSIANS]
@@ -260,7 +260,7 @@ class _Field:
             while degree < MOST_DEGREE and f"{GAUSSIANS}:SH_DEGREE_{degree + 1}_COEF_0" in attributes:
                 degree += 1
             names = [f"SH_DEGREE_{d}_COEF_{k}" for d in range(degree + 1) for k in range(2 * d + 1)]
-            field = _Field(
+            field = _SplatPrimitive(
                 column("POSITION", "VEC3"),
                 column(f"{GAUSSIANS}:ROTATION", "VEC4"),
                 column(f"{GAUSSIANS}:SCALE", "VEC3"),

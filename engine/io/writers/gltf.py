@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from engine.io.files import atomic
 from engine.io.gltf_tree import BINARY_CHUNK, GAUSSIANS, JSON_CHUNK, MAGIC
-from engine.io.writers.about import About
+from engine.io.writers.provenance import Provenance
 from engine.scene.gaussians import Gaussians
 from engine.scene.moved import moved, upright
 from engine.scene.sh import sh_to_rgb
@@ -26,7 +26,7 @@ VERTICES = 34962
 """Target of a buffer view: vertex attributes."""
 
 
-def write_glb(path: Path, gaussians: Gaussians, about: About) -> None:
+def write_glb(path: Path, gaussians: Gaussians, about: Provenance) -> None:
     """Writes Gaussians as points of one mesh, upright: glTF's y is up. Raises InputError if writing fails.
 
     All values are floats, as in the ratified extension: sizes are standard deviations, opacities range from 0 to 1,

@@ -15,7 +15,7 @@ from PIL import Image
 
 from engine.io.files import atomic
 from engine.io.splats.sog import BANDS, LARGEST_AT, META, PALETTE_COLUMNS
-from engine.io.writers.about import About
+from engine.io.writers.provenance import Provenance
 from engine.scene.gaussians import Gaussians
 from engine.scene.morton import morton_order
 
@@ -36,7 +36,7 @@ WHEN = (1980, 1, 1, 0, 0, 0)
 Bytes = NDArray[np.uint8]
 
 
-def write_sog(path: Path, gaussians: Gaussians, about: About) -> None:
+def write_sog(path: Path, gaussians: Gaussians, about: Provenance) -> None:
     """Writes Gaussians in the axes of a .ply, in Morton order. Raises InputError if writing fails.
 
     Coordinates are 16-bit logarithms; sizes, colours and spherical harmonics are the nearest of 256 numbers chosen for
@@ -48,7 +48,7 @@ def write_sog(path: Path, gaussians: Gaussians, about: About) -> None:
             archive.writestr(zipfile.ZipInfo(name, WHEN), data)
 
 
-def _files(g: Gaussians, about: About) -> dict[str, bytes]:
+def _files(g: Gaussians, about: Provenance) -> dict[str, bytes]:
     """The files in the archive, by name."""
     logs = np.sign(g.means) * np.log1p(np.abs(g.means.astype(np.float64)))
     low, high = logs.min(0), logs.max(0)

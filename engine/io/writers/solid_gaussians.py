@@ -12,9 +12,9 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.moved import moved
 from engine.scene.piece import Piece
 
-__all__ = ["OPAQUE", "joined", "piece_gaussians"]
+__all__ = ["ATOM_OPACITY", "joined", "piece_gaussians"]
 
-OPAQUE = 0.999
+ATOM_OPACITY = 0.999
 """Opacity of an atom in a file. 1 has no finite logit; at 0.999 two atoms in a row transmit 1e-6."""
 
 
@@ -25,7 +25,7 @@ def piece_gaussians(atoms: Atoms, cells: Sequence[Piece]) -> Gaussians:
     Other viewers cannot divide an atom, so cut faces are as rough there as the atoms are large. Interior atoms are
     spheres and keep the identity as their rotation.
     """
-    gaussians = atoms.as_gaussians(OPAQUE)
+    gaussians = atoms.as_gaussians(ATOM_OPACITY)
     means = gaussians.means.astype(np.float64)
     inside = np.zeros(len(means), bool)
     for cell in cells:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from engine.errors import InputError
 from engine.io.splats.ply import write_ply
-from engine.io.writers.about import About
 from engine.io.writers.gltf import write_glb
+from engine.io.writers.provenance import Provenance
 from engine.io.writers.sog import write_sog
 from engine.io.writers.spz import write_spz
 from engine.io.writers.usd import write_usd
@@ -16,10 +16,10 @@ from engine.scene.gaussians import Gaussians
 
 __all__ = ["SPLAT_WRITERS", "write_splats"]
 
-Writer = Callable[[Path, Gaussians, About], None]
+Writer = Callable[[Path, Gaussians, Provenance], None]
 
 
-def _ply(path: Path, gaussians: Gaussians, about: About) -> None:
+def _ply(path: Path, gaussians: Gaussians, about: Provenance) -> None:
     write_ply(path, gaussians, ["FruitNinja", *about.lines])
 
 
@@ -34,7 +34,7 @@ SPLAT_WRITERS: dict[str, Writer] = {
 """The writer of each suffix."""
 
 
-def write_splats(path: str | Path, gaussians: Gaussians, about: About) -> None:
+def write_splats(path: str | Path, gaussians: Gaussians, about: Provenance) -> None:
     """Writes Gaussians in the format of the path's suffix, all of the file or none of it.
 
     Raises InputError for any other suffix, if there are none, and if writing fails.

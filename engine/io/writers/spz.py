@@ -16,7 +16,7 @@ from engine.errors import InputError
 from engine.io.files import atomic
 from engine.io.splats.rows import row_blocks
 from engine.io.splats.spz import COLOUR_SCALE, FLIP, HEADER, MAGIC, MOST, TABLE_AT, flipped_bands
-from engine.io.writers.about import About
+from engine.io.writers.provenance import Provenance
 from engine.scene.gaussians import Gaussians
 
 __all__ = ["spz_bytes", "spz_misfit", "spz_unit", "write_spz"]
@@ -40,7 +40,7 @@ LOG_SCALES = (-10.0, 255 / 16 - 10)
 """Range of a size byte, natural logarithms of world units: 5e-5 to 376 units in steps of 6 %."""
 
 
-def write_spz(path: Path, gaussians: Gaussians, about: About) -> None:
+def write_spz(path: Path, gaussians: Gaussians, about: Provenance) -> None:
     """Writes Gaussians in the axes of an .spz, y and z against those of a .ply; the format has no room for `about`.
 
     Places are as fine as the details need, colours have 8 bits, sizes steps of 6 %, and spherical harmonics are clamped

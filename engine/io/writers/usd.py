@@ -8,7 +8,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.io.files import atomic
-from engine.io.writers.about import About
+from engine.io.writers.provenance import Provenance
 from engine.scene.gaussians import Gaussians
 from engine.scene.moved import moved, upright
 
@@ -18,7 +18,7 @@ MISSING = "USD needs usd-core 26.3 or newer; install it with: pip install 'fruit
 """Error without usd-core, with the first version that knows the schema."""
 
 
-def write_usd(path: Path, gaussians: Gaussians, about: About) -> None:
+def write_usd(path: Path, gaussians: Gaussians, about: Provenance) -> None:
     """Writes a stage with one field of Gaussians, as text (.usda) or binary (.usdc), upright: y is up and a unit is a
     metre, as in glTF.
 

@@ -14,11 +14,11 @@ from engine.render.projection import camera_record
 from engine.scene.camera import Camera
 from engine.scene.constants import CLAMP_MARGIN, LOW_PASS, NOTHING
 
-__all__ = ["FAR_BELOW", "View"]
+__all__ = ["MINUS_INFINITY", "View"]
 
 Double = NDArray[np.float64]
 
-FAR_BELOW = -NOTHING
+MINUS_INFINITY = -NOTHING
 """Stands for minus infinity in a shader, whose compiler may not support infinities."""
 
 BLUR_REACH = 3 * LOW_PASS**0.5 + 1
@@ -52,7 +52,7 @@ class View:
     @property
     def near(self) -> float:
         """Least depth that is drawn, world units."""
-        return FAR_BELOW if self.camera.orthographic else self.camera.near
+        return MINUS_INFINITY if self.camera.orthographic else self.camera.near
 
     @property
     def depth_range(self) -> tuple[float, float]:

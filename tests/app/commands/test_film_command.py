@@ -14,7 +14,7 @@ from PIL import Image
 from app import render_cli as cli
 from app.jobs.film.film_job import FilmRequest, message_for
 from app.jobs.film.film_worker import save
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Part
 from app.model.film.timeline import FilmLook, Timeline, exploding, moment
@@ -147,7 +147,7 @@ def test_the_film_of_a_project_is_that_of_the_window(
     assert run(monkeypatch, path, "-o", tmp_path / "command") == 0
     assert "4 frames of 64x48" in capsys.readouterr().out
     atoms, meta = load_trained(trained)
-    loaded = {0: LoadedScene(SceneRequest(trained), atoms=atoms)}
+    loaded = {0: LoadedObject(SceneRequest(trained), atoms=atoms)}
     project = Project((document,), Viewing(), film)
     request = FilmRequest(tmp_path / "window", project, look, (0.0, 0.0, 0.0), meta.up, True, loaded)
     save(message_for(request, tmp_path), Event())

@@ -12,7 +12,7 @@ from PIL import Image
 
 from app.jobs.film.film_job import FilmRequest, message_for, too_large
 from app.jobs.film.film_worker import save
-from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.autosave import Autosave
 from app.model.camera_control import OrbitCamera
 from app.model.document import DEFAULT_GAP, Document, Part
@@ -106,7 +106,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
     made = Session(history=History(Work((HALVED,))), viewing=Viewing(EYE, "capture"), autosave=Autosave(tmp_path))
     atoms = ball(1 / 8)
-    made.object = LoadedScene(SceneRequest(Path("melon.ply")), atoms=atoms, solid=Solid.of_atoms(atoms))
+    made.object = LoadedObject(SceneRequest(Path("melon.ply")), atoms=atoms, solid=Solid.of_atoms(atoms))
     return made
 
 

@@ -17,7 +17,7 @@ import lib3mf
 from engine.errors import InputError
 from engine.export.body import body_of
 from engine.export.colours import Colours
-from engine.export.meshes.cutting import Wanted
+from engine.export.meshes.cutting import MeshOptions
 from engine.export.meshes.files import save_mesh
 from engine.export.meshes.textured import TexturedPieces, textured_pieces
 from engine.scene.grid import Body
@@ -78,7 +78,7 @@ def test_pieces_are_closed_and_add_up_and_their_faces_are_flat(
     assert sorted(pieces) == [f"piece_{n}" for n in (1, 2, 3, 4)]
     assert all(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0 for mesh in pieces.values())
     assert sum(mesh.volume for mesh in pieces.values()) == pytest.approx(body.volume, rel=1e-3)
-    whole = textured_pieces(body, Colours(ATOMS, None), [Wanted("whole")], 0.05, "ball").pieces[0].volume
+    whole = textured_pieces(body, Colours(ATOMS, None), [MeshOptions("whole")], 0.05, "ball").pieces[0].volume
     assert sum(mesh.volume for mesh in pieces.values()) == pytest.approx(whole, rel=1e-6)
     for mesh in pieces.values():
         for plane in PLANES:
@@ -119,7 +119,7 @@ def bilinear(picture: NDArray[np.float64], places: NDArray[np.float64]) -> NDArr
 def test_a_piece_of_several_cells_is_one_closed_mesh_where_it_lies(body: Body) -> None:
     wall, low, high = Plane.of((0, 1, 0), 0.0), Plane.of((0, 0.4, 1), 0.0), Plane.of((0, -0.4, 1), 0.0)
     turn = np.array([[0.0, -1, 0, 2], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    bent = Wanted("bent", ((low, wall), (high, wall.flipped())), turn)
+    bent = MeshOptions("bent", ((low, wall), (high, wall.flipped())), turn)
     piece = textured_pieces(body, Colours(ATOMS, None), [bent], 0.05, "ball").pieces[0]
     mesh = trimesh.Trimesh(piece.points, piece.triangles).copy()
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
@@ -131,4 +131,6 @@ def test_a_piece_of_several_cells_is_one_closed_mesh_where_it_lies(body: Body) -
 
 def test_nothing_left_is_one_line(body: Body) -> None:
     with pytest.raises(InputError, match=r"^a\.glb: nothing to save"):
-        textured_pieces(body, Colours(ATOMS, None), [Wanted("none", ((Plane.of((0, 0, 1), 9.0),),))], None, "a.glb")
+        textured_pieces(
+            body, Colours(ATOMS, None), [MeshOptions("none", ((Plane.of((0, 0, 1), 9.0),),))], None, "a.glb"
+        )

@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 
 from engine.errors import InputError
 from engine.io.load import load
-from engine.io.writers.about import About
-from engine.io.writers.solid_gaussians import OPAQUE
+from engine.io.writers.provenance import Provenance
+from engine.io.writers.solid_gaussians import ATOM_OPACITY
 from engine.io.writers.splats import SPLAT_WRITERS, write_splats
 from engine.scene.gaussians import Gaussians
 from engine.scene.moved import moved, upright
@@ -29,11 +29,11 @@ def solid(degree: int = 2) -> Gaussians:
     g = scene(degree)
     sh = g.sh.copy()
     sh[N // 2 :, 1:] = 0
-    return replace(g, opacities=np.full(N, OPAQUE, np.float32), sh=sh)
+    return replace(g, opacities=np.full(N, ATOM_OPACITY, np.float32), sh=sh)
 
 
 def written(path: Path, g: Gaussians, up: tuple[float, float, float] = UP) -> Path:
-    write_splats(path, g, About(up, ("made from apple.splat",)))
+    write_splats(path, g, Provenance(up, ("made from apple.splat",)))
     assert [file.name for file in path.parent.iterdir()] == [path.name]
     return path
 
@@ -166,14 +166,14 @@ def test_a_palette_takes_more_than_it_has_entries_for(tmp_path: Path, monkeypatc
 def test_what_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     g = solid()
     with pytest.raises(InputError, match=r"Gaussians are saved as .ply, .spz, .sog, .glb, .usda, .usdc"):
-        write_splats(tmp_path / "a.obj", g, About())
+        write_splats(tmp_path / "a.obj", g, Provenance())
     with pytest.raises(InputError, match="nothing to save"):
-        write_splats(tmp_path / "a.spz", g[:0], About())
+        write_splats(tmp_path / "a.spz", g[:0], Provenance())
     with pytest.raises(InputError, match=r"details of .* units; an .spz holds"):
-        write_splats(tmp_path / "a.spz", moved(g, np.eye(3), factor=1e-6), About())
+        write_splats(tmp_path / "a.spz", moved(g, np.eye(3), factor=1e-6), Provenance())
     monkeypatch.setitem(sys.modules, "pxr", None)
     with pytest.raises(InputError, match="USD needs usd-core"):
-        write_splats(tmp_path / "a.usdc", g, About())
+        write_splats(tmp_path / "a.usdc", g, Provenance())
     assert not list(tmp_path.iterdir())
 
 

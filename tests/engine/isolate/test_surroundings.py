@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from engine.io.load import load
 from engine.isolate.selection import NO_FLOOR, NO_SURROUNDINGS, Sphere, isolated, removed, without_surroundings
-from engine.isolate.surroundings import find_middle
+from engine.isolate.surroundings import object_ball
 from engine.scene.gaussians import Gaussians
 from engine.solid.up_axis.detect import detect_up
 from tests.helpers.solids import joined, round_gaussians
@@ -97,14 +97,14 @@ def test_the_object_is_left_of_its_surroundings_whole(shape: Callable[..., Point
     rng = np.random.default_rng(1)
     points = shape(rng)
     scene = joined(splats(points, 0.05), *SURROUNDED[around](rng))
-    found = find_middle(scene)
+    found = object_ball(scene)
     assert found is not None
     reach = np.linalg.norm(points - (points.min(0) + points.max(0)) / 2, axis=1).max()
     assert found[1] < 2.5 * reach
     gone = ~Sphere(*found).contains(scene.means)
     assert not gone[: len(points)].any()
     # What is left has a floor, and no further surroundings.
-    assert find_middle(scene[~gone]) is None
+    assert object_ball(scene[~gone]) is None
     gone = removed(scene, (NO_SURROUNDINGS, NO_FLOOR))
     assert gone[: len(points)][points[:, 2] > 0.15].mean() < 0.02 and (~gone[len(points) :]).sum() < 0.05 * len(points)
 
@@ -115,7 +115,7 @@ def test_the_object_is_left_of_its_surroundings_whole(shape: Callable[..., Point
 def test_a_floor_or_a_wall_alone_is_none(shape: Callable[..., Points], around: str) -> None:
     rng = np.random.default_rng(2)
     scene = joined(splats(shape(rng), 0.05), *OPEN[around](rng))
-    assert find_middle(scene) is None
+    assert object_ball(scene) is None
     left, notes = isolated(scene, (NO_SURROUNDINGS,), "a")
     assert left is scene and notes == ["it has no surroundings to leave out"]
 
@@ -123,9 +123,9 @@ def test_a_floor_or_a_wall_alone_is_none(shape: Callable[..., Points], around: s
 def test_units_and_place_are_no_matter() -> None:
     rng = np.random.default_rng(3)
     scene = joined(splats(ball(rng), 0.05), *SURROUNDED["a room"](rng))
-    one = find_middle(scene)
+    one = object_ball(scene)
     moved = replace(scene, means=1000 * scene.means + np.float32(5000), scales=1000 * scene.scales)
-    other = find_middle(moved)
+    other = object_ball(moved)
     assert one is not None and other is not None
     assert other[1] == pytest.approx(1000 * one[1], rel=1e-3)
     np.testing.assert_allclose(other[0], 1000 * np.array(one[0]) + 5000, atol=5)
@@ -144,7 +144,7 @@ def test_captures_at_the_limit_have_none() -> None:
         replace(plain, opacities=np.float32(0.01) * plain.opacities),
         replace(plain, means=broken),
     ):
-        assert find_middle(scene) is None
+        assert object_ball(scene) is None
 
 
 def test_up_is_told_by_the_object_and_its_floor() -> None:
@@ -161,10 +161,10 @@ def test_up_is_told_by_the_object_and_its_floor() -> None:
 
 @pytest.mark.parametrize("name", ["watermelon", "orange", "bread"])
 def test_samples_have_none(name: str) -> None:
-    assert find_middle(load(SAMPLES / name / f"{name}.ply").gaussians) is None
+    assert object_ball(load(SAMPLES / name / f"{name}.ply").gaussians) is None
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the captures are not here")
 def test_captures_of_things_alone_have_none() -> None:
     for path in (*sorted(SHARED.glob("splats/*")), SHARED / "formats/biker.compressed.ply"):
-        assert find_middle(load(path).gaussians) is None, path
+        assert object_ball(load(path).gaussians) is None, path

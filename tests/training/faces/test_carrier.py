@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from benchmarks.photographs.faces import overlap
+from benchmarks.photographs.faces import mask_iou
 from engine.errors import InputError
 from tests.paths import SHARED
 from training.faces.carrier import find_seen_face, skin_share
@@ -67,7 +67,7 @@ CARRIERS = {
 def test_the_face_and_not_what_it_lies_on(name: str) -> None:
     picture, truth = fruit(lay(table(), *CARRIERS[name]))
     found = find_seen_face(photographed(picture), name)
-    assert overlap(found.mask, truth) > 0.95  # a pixel too much all around gives 0.96
+    assert mask_iou(found.mask, truth) > 0.95  # a pixel too much all around gives 0.96
     assert "plate or board, which is left out" in found.note
 
 
@@ -76,7 +76,7 @@ def test_a_face_is_not_taken_for_a_plate_with_its_stone_on_it() -> None:
     for skin in (0.02, 0.04):
         picture = over(lay(table(), r < 0.75, [0.7, 0.15, 0.1]), r < 0.75 - skin, [0.96, 0.8, 0.4])
         found = find_seen_face(photographed(over(picture, np.hypot(X, Y - 0.1) < 0.3, [0.45, 0.2, 0.12])), "peach")
-        assert overlap(found.mask, r < 0.75) > 0.95  # of a two-pixel skin, one pixel is mixed
+        assert mask_iou(found.mask, r < 0.75) > 0.95  # of a two-pixel skin, one pixel is mixed
         assert found.note == ""
 
 
@@ -84,7 +84,7 @@ def test_half_an_egg_is_kept_and_the_user_told_that_it_may_be_a_plate() -> None:
     egg = np.hypot(X / (1 - 0.15 * Y), Y / 1.2) < 0.65
     picture = over(lay(table(), egg, [0.96, 0.95, 0.92]), np.hypot(X, Y - 0.1) < 0.3, [0.95, 0.7, 0.2])
     found = find_seen_face(photographed(picture), "egg")
-    assert overlap(found.mask, egg) > 0.97
+    assert mask_iou(found.mask, egg) > 0.97
     assert "hardly a skin or rind" in found.note
 
 
@@ -92,7 +92,7 @@ def test_a_finger_from_the_border_is_left_out() -> None:
     picture, truth = fruit(np.full((SIZE, SIZE, 3), 0.9))
     finger = (np.abs(X) < 0.12) & (Y > 0.35)
     found = find_seen_face(photographed(over(picture, finger, [0.8, 0.58, 0.48])), "held")
-    assert overlap(found.mask, truth) > 0.93  # the finger hides part of the face
+    assert mask_iou(found.mask, truth) > 0.93  # the finger hides part of the face
     assert "reaches from the border" in found.note
 
 
@@ -128,7 +128,7 @@ def test_photographed_faces_on_a_plate(name: str) -> None:
     rgb, small = (cv2.warpAffine(a, smaller, (SIZE, SIZE)) for a in (rgb, mask))
     picture = lay(lay(table(), *CARRIERS["plate"]), small > 0.5, rgb)
     found = find_seen_face(photographed(picture), name)
-    assert overlap(found.mask, small > 0.5) > 0.95
+    assert mask_iou(found.mask, small > 0.5) > 0.95
     assert found.note
 
 
@@ -141,7 +141,7 @@ def cheese() -> tuple[Mask, NDArray]:
 def test_a_face_without_a_skin_is_known_by_its_shadow(name: str) -> None:
     block, colour = cheese()
     found = find_seen_face(photographed(lay(lay(table(), *CARRIERS[name]), block, colour)), name)
-    assert overlap(found.mask, block) > 0.95
+    assert mask_iou(found.mask, block) > 0.95
     assert "plate or board, which is left out" in found.note
 
 
@@ -150,7 +150,7 @@ def test_dark_surroundings_of_a_core_are_no_shadow() -> None:
     ring = np.clip((r - 0.35) / 0.12, 0, 1)[..., None]  # like seeds around the core
     flesh = np.array([0.45, 0.65, 0.15]) * (0.5 + 0.5 * ring)
     picture = over(over(lay(table(), r < 0.75, [0.1, 0.1, 0.1]), r < 0.75, flesh), r < 0.35, [0.92, 0.93, 0.75])
-    assert overlap(find_seen_face(photographed(picture), "kiwi").mask, r < 0.75) > 0.95
+    assert mask_iou(find_seen_face(photographed(picture), "kiwi").mask, r < 0.75) > 0.95
 
 
 def granite() -> NDArray:
@@ -162,7 +162,7 @@ def granite() -> NDArray:
 def test_specks_of_the_table_in_the_colours_of_the_face_are_none_of_it() -> None:
     bread = (np.abs(X) / 0.6) ** 6 + (np.abs(Y) / 0.5) ** 6 < 1
     found = find_seen_face(photographed(lay(granite(), bread, [0.9, 0.82, 0.7])), "granite")
-    assert overlap(found.mask, bread) > 0.95
+    assert mask_iou(found.mask, bread) > 0.95
     assert "has several colours" in found.note
 
 
@@ -175,7 +175,7 @@ def cloth() -> NDArray:
 def test_a_face_on_a_chequered_cloth_is_found_and_the_user_told_to_look() -> None:
     picture, truth = fruit(cloth())
     found = find_seen_face(photographed(picture), "cloth")
-    assert overlap(found.mask, truth) > 0.85  # squares in the shadow may pass for the face
+    assert mask_iou(found.mask, truth) > 0.85  # squares in the shadow may pass for the face
     assert "has several colours" in found.note
 
 
@@ -190,4 +190,6 @@ def test_nothing_is_found_on_a_cloth_alone_or_where_the_border_cuts_the_face() -
 def test_a_crust_in_the_colour_of_the_table_is_no_shadow(shade: float) -> None:
     table, r = np.array([0.8, 0.75, 0.66]), np.hypot(X, Y)
     picture = over(lay(np.ones((SIZE, SIZE, 3)) * table, r < 0.6, table * shade), r < 0.5, [0.55, 0.35, 0.65])
-    assert overlap(find_seen_face(photographed(picture), "geode").mask, r < 0.6) > 0.9  # some of the shadow is included
+    assert (
+        mask_iou(find_seen_face(photographed(picture), "geode").mask, r < 0.6) > 0.9
+    )  # some of the shadow is included

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from benchmarks.photographs.faces import axis_error, overlap
+from benchmarks.photographs.faces import axis_error, mask_iou
 from engine.errors import InputError
 from tests.helpers.exemplar_faces import disc, save
 from tests.paths import SAMPLES, SHARED
@@ -52,7 +52,7 @@ def photographed(name: str) -> tuple[NDArray[np.float32], NDArray[np.bool_], dic
 def test_photographs(name: str) -> None:
     rgb, truth, row = photographed(name)
     mask = find_mask(rgb, name)
-    assert overlap(mask, truth) > 0.97
+    assert mask_iou(mask, truth) > 0.97
     assert axis_error(rgb, mask, row) < 0.03
 
 
@@ -73,14 +73,14 @@ def test_another_light_or_table_changes_little(change: str) -> None:
         rgb = np.where(truth[..., None], rgb, np.clip(wood, 0, 1)).astype(np.float32)
     else:
         rgb, truth = rgb[::4, ::4], truth[::4, ::4]
-    assert overlap(find_mask(rgb, change), truth) > 0.97
+    assert mask_iou(find_mask(rgb, change), truth) > 0.97
 
 
 @pytest.mark.parametrize(("name", "light"), [("apple_h7", (1, 1, 1)), ("apple_h1", (0.9, 0.98, 1.07))])
 def test_a_shadow_of_another_colour_is_no_rind(name: str, light: tuple[float, ...]) -> None:
     """The first has a brown shadow; in the second's light a camera clips the white table but not the shadow on it."""
     rgb, truth, _ = photographed(name)
-    assert overlap(find_mask(np.clip(rgb * np.array(light, np.float32), 0, 1), name), truth) > 0.98
+    assert mask_iou(find_mask(np.clip(rgb * np.array(light, np.float32), 0, 1), name), truth) > 0.98
 
 
 def test_of_what_hangs_on_a_face_only_what_fades_is_cut_off() -> None:
@@ -89,7 +89,7 @@ def test_of_what_hangs_on_a_face_only_what_fades_is_cut_off() -> None:
     beneath = np.clip((0.8 - np.hypot(x, y)) / 0.2 * (1.6 * y > np.abs(x)), 0, 1) * (y > 0) * ~mask
     shadow = (face * (1 - beneath[..., None] * [0.4, 0.6, 0.7])).astype(np.float32)
     assert (beneath > 0.5).sum() > 0.03 * mask.sum()
-    assert overlap(without_bulges(shadow, mask | (beneath > 0.5)), mask) > 0.99
+    assert mask_iou(without_bulges(shadow, mask | (beneath > 0.5)), mask) > 0.99
     stalk = (np.abs(x) < 0.04) & (y < 0) & (y > -0.75) & ~mask
     whole = mask | stalk
     face[stalk] = [0.3, 0.2, 0.1]
@@ -106,7 +106,7 @@ def test_of_what_hangs_on_a_face_only_what_fades_is_cut_off() -> None:
 def test_a_grey_face_is_no_shadow() -> None:
     face, mask = disc(200, seeds=6, radius=0.7)
     grey = np.repeat(face.mean(-1, keepdims=True), 3, axis=-1).astype(np.float32)
-    assert overlap(find_mask(grey, "grey"), mask) > 0.97
+    assert mask_iou(find_mask(grey, "grey"), mask) > 0.97
 
 
 def test_equal_pictures_have_equal_masks() -> None:
@@ -118,7 +118,7 @@ def test_equal_pictures_have_equal_masks() -> None:
 def test_solids_of_our_own_are_found_to_the_pixel(name: str) -> None:
     rgb, face = find_face(SAMPLES / f"{name}.png")
     mask = face.mask
-    assert overlap(mask, ndimage.binary_fill_holes((rgb < 0.99).any(-1))) > 0.985
+    assert mask_iou(mask, ndimage.binary_fill_holes((rgb < 0.99).any(-1))) > 0.985
     if "radial" in name:
         (x0, y0), (x1, y1) = find_core_line(rgb, mask).ends
         assert abs(np.degrees(np.arctan2(x0 - x1, y1 - y0))) < 5
@@ -138,7 +138,7 @@ def test_a_leaning_core_line_is_found_and_the_picture_turned(tmp_path: Path) -> 
     (x0, y0), (x1, y1) = find_core_line(face, mask).ends
     assert np.degrees(np.arctan2(x0 - x1, y1 - y0)) == pytest.approx(12, abs=2)
     upright = read_picture(save(tmp_path / "leaning.png", face), "radial")
-    assert overlap(upright.mask, upright.mask[:, ::-1]) > 0.95
+    assert mask_iou(upright.mask, upright.mask[:, ::-1]) > 0.95
     assert guess_cut(upright.rgb, upright.mask).kind == "radial"
     assert guess_cut(*disc(200, seeds=5)).kind == "horizontal"
 

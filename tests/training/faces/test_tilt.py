@@ -22,7 +22,7 @@ DISTANCE = 3.0
 """Distance of the camera from the face, in face widths: as near as a phone focuses on an orange."""
 
 
-def left(degrees: float, marked: bool) -> NDArray[np.float64]:
+def remaining_error(degrees: float, marked: bool) -> NDArray[np.float64]:
     """Distances in radii between the right places of points of a round face on the disc and their actual places."""
     y, x = np.mgrid[:SIZE, :SIZE] + 0.5
     # The colours encode places, so that the disc tells where each of its pixels came from.
@@ -41,11 +41,11 @@ def left(degrees: float, marked: bool) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize(("degrees", "middle", "most"), [(0, 0.01, 0.02), (20, 0.06, 0.08), (30, 0.09, 0.13)])
 def test_a_tilted_round_face_is_nearly_round_on_the_disc(degrees: float, middle: float, most: float) -> None:
-    wrong = left(degrees, marked=False)
+    wrong = remaining_error(degrees, marked=False)
     assert np.median(wrong) < middle
     assert np.percentile(wrong, 95) < most
 
 
 @pytest.mark.parametrize(("degrees", "most"), [(20, 0.04), (30, 0.08)])
 def test_a_mark_on_the_core_takes_perspective_out(degrees: float, most: float) -> None:
-    assert np.percentile(left(degrees, marked=True), 95) < most
+    assert np.percentile(remaining_error(degrees, marked=True), 95) < most

@@ -227,6 +227,13 @@ def test_what_the_border_cuts_off_of_an_oblique_slice_goes_on_as_it_was() -> Non
         assert np.abs(completed[where] - truth[there])[made].mean() < 0.06, (top, bottom, left, right)
 
 
+def test_a_cut_out_face_that_the_border_cuts_in_half_is_said_to_be(tmp_path: Path) -> None:
+    face, mask = disc(160)
+    cut_out = np.concatenate([face, mask[..., None]], -1)
+    for shown, said in ((cut_out[:, 80:], True), (cut_out[:, 30:], False), (cut_out[16:-16, 16:-16], False)):
+        assert ("cuts the cut face off" in read_picture(save(tmp_path / "a.png", shown), "horizontal").note) == said
+
+
 def test_a_cut_out_face_may_fill_its_picture(tmp_path: Path) -> None:
     face, mask = disc(160)
     tight = cropped(np.concatenate([face, mask[..., None]], -1), mask, "LTRB", 0.0)

@@ -16,7 +16,7 @@ from engine.io.picture_file import in_srgb, open_picture
 from engine.scene.image import to_8bit
 from training.faces.axis import find_core
 from training.faces.carrier import SeenFace, find_seen_face
-from training.faces.completion import complete_face
+from training.faces.completion import complete_face, is_cut_off
 from training.faces.core_line import find_core_line, lean_of, line_ends
 from training.faces.marks import UNMARKED, Marks, axis_beside, read_axis_file
 from training.faces.mask_file import mask_beside
@@ -46,6 +46,12 @@ MIN_LEAN = 7.5
 """Least lean of a core line, in degrees, for the picture to be turned: people hold what they photograph upright, and in
 12 photographs the search is wrong by up to 2.1 degrees, in one by 5.0, in solids of our own with a striped rind by
 5."""
+
+CUT_OFF = (
+    "the picture's border cuts the cut face off, and what is seen of it is taken for the whole; give a picture that "
+    "shows all of it, or at least three quarters of a round one"
+)
+"""Note of a face that `complete_face` does not complete; one that is searched for is refused instead."""
 
 MIN_TRANSPARENT = 0.005
 """Least transparent fraction of a picture for its alpha channel to be a cut-out: many opaque pictures have an alpha
@@ -79,7 +85,8 @@ def read_picture(path: str | Path, kind: Kind, marks: Marks = UNMARKED) -> Pictu
     path = Path(path)
     marks = _with_axis_file(marks, path)
     rgb, face = find_face(path, marks)
-    return replace(make_picture(path, rgb, face.mask, kind, marks), note=face.note)
+    picture = make_picture(path, rgb, face.mask, kind, marks)
+    return replace(picture, note=face.note or picture.note)
 
 
 def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind, marks: Marks) -> Picture:
@@ -87,6 +94,7 @@ def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], 
     `marks`. Raises InputError if it is too small."""
     core, size = None, mask.shape[::-1]
     rgb, mask, added = complete_face(rgb, mask, kind == "radial")
+    note = CUT_OFF if kind in ("horizontal", "radial") and is_cut_off(mask) else ""
     if kind == "radial" and mask.any():
         if marks.line is not None:
             rgb, mask, core = _upright(rgb, mask, np.array(marks.line) * size + added)
@@ -106,7 +114,7 @@ def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], 
     mask, rgb = (_crop(a, rows, columns, margin) for a in (mask, rgb))
     if core is not None:
         core = core[0] - float(columns.min()) + margin, core[1] - float(rows.min()) + margin
-    return Picture(path, fill_outside(flatten_light(rgb, mask, kind), mask), mask, core)
+    return Picture(path, fill_outside(flatten_light(rgb, mask, kind), mask), mask, core, note)
 
 
 def _with_axis_file(marks: Marks, path: Path) -> Marks:

@@ -259,6 +259,28 @@ def test_texture_changes_along_the_axis_as_it_does_in_a_picture() -> None:
     assert rows[0.0].std() == pytest.approx(true.std(), rel=0.25)
 
 
+def contrast_around(rgb: NDArray[np.float32], radius: NDArray[np.float64]) -> float:
+    """Mean square of what changes around the axis within 0.05 radii, of colours on circles of these radii (R,)."""
+    fine = 0.0
+    for r, row in zip(radius, rgb.reshape(len(radius), -1, 3), strict=True):
+        around = ndimage.gaussian_filter1d(row, 0.05 / (2 * np.pi * r) * len(row), axis=0, mode="wrap")
+        fine += float(np.square(row - around).mean())
+    return fine
+
+
+def test_juice_sacs_do_not_fade_beside_the_photograph() -> None:
+    names = "orange_h1", "orange_v6"
+    radius, turn = np.linspace(0.3, 0.75, 10), np.arange(720) / 720 * 2 * np.pi
+    x, y = (radius[:, None] * axis(turn) for axis in (np.cos, np.sin))
+    true = contrast_around(photograph(names[0]).read(x.ravel(), y.ravel()), radius)
+    made, kept = quilted(*map(photograph, names)), []
+    for height in (-0.3, -0.2, -0.1, 0.1, 0.2, 0.3):
+        share = np.sqrt(1 - height**2)
+        points = np.stack([x * share, y * share, np.full_like(x, height)], -1).reshape(-1, 3)
+        kept.append(contrast_around(made.read(points.astype(np.float32)), radius) / true)
+    assert np.mean(kept) > 0.58  # 0.48 where texture is what is narrower than 0.02 radii alone
+
+
 def test_light_is_told_from_what_is_there() -> None:
     """Lamplight on flesh and rind is removed; a white core that the other picture lacks stays white."""
     x, y = disc_grid()

@@ -49,14 +49,14 @@ RIND_COST = 1.0
 SECTOR_COST = 0.3
 """Cost of radial pictures where horizontal ones are as good: repeated around the axis they show as rings."""
 
-OWN_COST, OWN_BAND = 1.0, 0.03
+OWN_GAIN, OWN_BAND = 1.0, 0.03
 """Gain of a picture near its own plane, and how near in radii, up to a smooth random factor: no band has an edge. With
 three times the gain the band is equally wide everywhere and shows as a bar in cuts across it."""
 
-CORE_COST = 20.0
+CORE_GAIN = 20.0
 """Gain of a horizontal picture around its core: more than any seam, less than that of a plane that is shown itself."""
 
-OWN_PLANE = 100.0
+OWN_PLANE_GAIN = 100.0
 """Gain in the cells at the plane itself, which shows the picture."""
 
 
@@ -142,12 +142,12 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
         if label.is_own:
             band = OWN_BAND * np.exp(0.4 * smooth_noise(ball, 0.3, np.random.default_rng([seed, 2, n])))
             near = np.exp(-np.square(places.distance / band)) * (1 - surprise)
-            own_plane = OWN_PLANE if label.is_horizontal else OWN_PLANE / 2  # on the line where they meet
-            cost = cost - OWN_COST * near - own_plane * (places.distance < 0.75 * cell)
+            own_plane = OWN_PLANE_GAIN if label.is_horizontal else OWN_PLANE_GAIN / 2  # on the line where they meet
+            cost = cost - OWN_GAIN * near - own_plane * (places.distance < 0.75 * cell)
             surprise = surprise * (1 - near)
             if isinstance(label.chunks, OwnHeight):
                 core, (x, y, z) = label.sources[0].core, ball.points.T
-                cost = cost - CORE_COST * core.holds(x, y, z - label.chunks.height)
+                cost = cost - CORE_GAIN * core.holds(x, y, z - label.chunks.height)
         else:
             cost = cost + RIND_COST * ball.rind
         if label.is_horizontal:

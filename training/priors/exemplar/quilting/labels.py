@@ -190,10 +190,10 @@ class Label:
         for n, source in enumerate(self.sources):
             rows = places.of(n, self.sources)
             x, y = places.x[rows], places.y[rows]
-            out[rows] = source.relief.read(x, y, places.distance[rows] * self._held(places, rows, source))
+            out[rows] = source.relief.read(x, y, places.distance[rows] * self._free(places, rows, source))
         return out
 
-    def _held(self, places: Places, rows: Rows, source: Source) -> NDArray[np.float32]:
+    def _free(self, places: Places, rows: Rows, source: Source) -> NDArray[np.float32]:
         """(M,). How much of a distance counts: nothing in the rind and in sheets, which run through."""
         return (1 - places.rind[rows]) * (1 - source.sheets.read(places.x[rows], places.y[rows])[:, 0])
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["About"]
+__all__ = ["Provenance"]
 
 
 @dataclass(frozen=True)
-class About:
+class Provenance:
     """The facts about one object."""
 
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
