@@ -19,7 +19,7 @@ SAMPLES = 6000
 
 CANDIDATES = 600
 """Planes that are tried, half of them along flat Gaussians, half through three points. A floor with a fifth of the
-skin contains half a per cent of all triples and a fifth of all Gaussians: it is met a hundred times."""
+skin contains 0.8 % of all triples and a fifth of all Gaussians: it is met some sixty times."""
 
 BAND = 0.012
 """Half the thickness of a floor, in sizes of the capture: mats and cloths are that uneven."""

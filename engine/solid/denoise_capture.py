@@ -16,8 +16,8 @@ from engine.solid.opacity_field import opacity_field
 __all__ = ["HAZE_OPACITY", "WALL_OPACITY", "grid_around", "haze_and_fragments", "without_haze"]
 
 WALL_OPACITY = 0.2
-"""The paper's sigma_th: d on a sheet is the sum of the alphas that a ray meets there, and here it loses a quarter
-(1 - exp(-0.3)). Captures have skins as thin as that, seen against what lies behind them."""
+"""The paper's sigma_th: d on a sheet is the sum of the alphas that a ray meets there, and from here on it loses 18 %
+(1 - exp(-0.2)). Captures have skins as thin as that, seen against what lies behind them."""
 
 HAZE_SIZE = 0.05
 """Share of the longest side. A Gaussian longer than this is haze if it is also fainter than HAZE_OPACITY."""

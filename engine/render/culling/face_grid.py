@@ -24,7 +24,7 @@ CELLS_PER_SIGMA = 2.5
 """Grid points per standard deviation; with 4, a grid takes 2.5 times as long to make for 3 dB more."""
 
 WIDEST = 12.0
-"""Largest ratio of standard deviations on one grid: an atom is then at most 255 cells wide."""
+"""Largest ratio of standard deviations on one grid: six of an atom's are then at most 180 cells, 255 diagonally."""
 
 MOST_CELLS = 1 << 22
 """Largest grid (64 MB); a face that needs more is drawn pixel by pixel."""

@@ -19,8 +19,8 @@ __all__ = ["Solid", "reach_of"]
 Float = NDArray[np.float32]
 
 BOUNDARY_SCALE = 1.2
-"""Factor on the boundary layer's atoms if there is no skin: the core of a splat (half height, 1.18 sigma) then reaches
-the middle of a lattice cell, 1.41 sigma away; the layers behind fill the gaps left by jitter."""
+"""Factor on the boundary layer's atoms if there is no skin: the core of a splat (1.48 sigma, `CORE_Q`) then reaches
+1.78 sigma: past the middle of a lattice cell, 1.41 sigma away, by nearly the 0.4 sigma of the jitter."""
 
 
 def reach_of(atoms: Atoms) -> tuple[float, float]:
