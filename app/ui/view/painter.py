@@ -209,14 +209,13 @@ class Painter:
         if not self._reader.busy:
             picture = self.renderer.read()
             self._reader.start(lambda: FaceDetail(picture, camera, pieces, insides, light))
-        try:
-            rgb = self._reader.take(SLICE)
-        except Exception:
-            self._wants_detail = False  # it would fail again in every frame; the faces stay as fine as their atoms
-            raise
-        if rgb is not None:
+        self._wants_detail = False  # a reading that fails would fail in every frame: faces stay as fine as their atoms
+        rgb = self._reader.take(SLICE)
+        if rgb is None:
+            self._wants_detail = True
+        else:
             self._picture = self.renderer.replace(rgb)
-            self._wants_detail, self._overlay_key = False, None
+            self._overlay_key = None
         self._restore_framebuffer()
 
     def _record_time(self, taken: float, moving: bool, uploaded: bool) -> None:
