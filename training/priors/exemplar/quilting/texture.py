@@ -39,15 +39,15 @@ arils."""
 WIDTH = 0.07
 """The same once things are known. What is narrow and no texture closes beside its plane, and nothing takes its place:
 with FINE here, horizontal cuts of two oranges and a melon had 0.18 to 0.54 of the power of their pictures at
-wavelengths of 0.03 to 0.11 radii, now 0.23 to 0.63. With 0.05 and 0.1, features of six pairs are within 0.1 of it."""
+wavelengths of 0.03 to 0.11 radii, now 0.23 to 0.63. Features of six pairs differ by less than 0.1 at 0.05 and 0.1."""
 
 AROUND = 0.11
 """Radius in radii of the neighbourhood whose typical contrast texture has: some seeds wide."""
 
 STRONG = (1.5, 3.5)
 """Multiples of the usual strongest contrast nearby between which a contrast changes from texture to that of a thing.
-Features of four pairs change by less than 0.16 from (1.5, 2.5) to (2, 3.5); with the latter, cores of oranges are
-speckled."""
+Features of two oranges and an apple differ by at most 0.21 between (1.5, 2.5) and (2, 3.5); with the latter, cores of
+oranges are speckled."""
 
 SHIFT = 0.1
 """Standard deviation in radii of the shift of a radial layer's places. Without it texture shows as rings."""
