@@ -109,16 +109,13 @@ class Source:
 
     @classmethod
     def of(cls, disc: Disc, is_horizontal: bool) -> Source:
-        """What is known of a picture, still without a core."""
+        """What is known of a picture before its core is found; `with_core` takes it apart once all things are known."""
         persistence = Persistence(disc)
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
         rind = rind_of(disc, is_horizontal)[0]
         even = _even(disc, is_horizontal)
         parts, relief = _apart(even, rind, FINE)
-        grains, seeds = Grains.of(parts.things, relief.heights), Seeds.none()
-        if not len(grains.radii):
-            seeds = Seeds.of(relief, is_horizontal, rind)
-            parts, relief = _apart(even, rind, WIDTH, seeds.regions | (sheets > FAINT_SHEET))
+        grains = Grains.of(parts.things, relief.heights)
         return cls(
             disc,
             even,
@@ -131,27 +128,25 @@ class Source:
             Disc(np.repeat(sheets[..., None], 3, -1)),
             rind,
             grains,
-            seeds,
+            Seeds.of(relief, is_horizontal, rind) if not len(grains.radii) else Seeds.none(),
             Core.none(),
             is_horizontal,
         )
 
     def with_core(self, core: Core) -> Source:
-        """The picture with this core, which does not affect its tones."""
-        if not core.region.any():
+        """The picture taken apart anew, with all of its things known: seeds, sheets and this core, if there is one. A
+        core does not affect the tones. A picture of grains has no core, and stays as it is."""
+        if len(self.grains.radii):
             return self
-        even = _even(self.disc, self.is_horizontal, core.region)
+        has_core = bool(core.region.any())
+        even = _even(self.disc, self.is_horizontal, core.region) if has_core else self.even
         things = self.seeds.regions | (self.sheets.rgb[..., 0] > FAINT_SHEET) | (core.form[..., 0] > 0)
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
-        return replace(
-            self,
-            core=core,
-            even=even,
-            parts=parts,
-            relief=relief.closing(parts.things, parts.strength, core.region, hidden),
-            tones=smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE),
-        )
+        if has_core:
+            relief = relief.closing(parts.things, parts.strength, core.region, hidden)
+        tones = smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE)
+        return replace(self, core=core, even=even, parts=parts, relief=relief, tones=tones)
 
 
 def _even(disc: Disc, is_horizontal: bool, hidden: NDArray[np.bool_] | None = None) -> Disc:

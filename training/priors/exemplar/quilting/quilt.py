@@ -270,11 +270,11 @@ def _make_sources(
 def _with_cores(across: list[Source], along: list[Source], height: float) -> tuple[list[Source], list[Source]]:
     """Horizontal and radial pictures with their cores: the radial ones with what they show of the first horizontal
     one's."""
-    if not across or any(len(source.grains.radii) for source in [*across, *along]):
-        return across, along
-    faces = [source.even for source in along]
-    cores = [Core.across(source.even, source.rind, faces, height) for source in across]
-    cores += [Core.along(face, cores[0], height) for face in faces]
+    cores = [Core.none()] * (len(across) + len(along))
+    if across and not any(len(source.grains.radii) for source in [*across, *along]):
+        faces = [source.even for source in along]
+        cores = [Core.across(source.even, source.rind, faces, height) for source in across]
+        cores += [Core.along(face, cores[0], height) for face in faces]
     both = list(zip([*across, *along], cores, strict=True))
     known = side_by_side(lambda one: one[0].with_core(one[1]), both)
     return known[: len(across)], known[len(across) :]
