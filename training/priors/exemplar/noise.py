@@ -43,9 +43,8 @@ def _read_spline(
 ) -> None:
     """Quadratic B-splines (Unser 1999) at points; the coefficients of the lattice's border continue beyond it."""
     channels = coefficients.shape[3]
+    weights, first = np.empty((3, 3), np.float32), np.empty(3, np.int64)
     for m in range(start, stop):
-        weights = np.empty((3, 3), np.float32)
-        first = np.empty(3, np.int64)
         for a in range(3):
             middle = np.floor(at[m, a] + np.float32(0.5))
             t = at[m, a] - middle

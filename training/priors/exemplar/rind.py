@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.sampling import blurred
+from training.priors.exemplar.sampling import blurred, lengths
 
 __all__ = ["FLESH", "rind_depth"]
 
@@ -39,7 +39,7 @@ def rind_depth(rgb: NDArray[np.floating], depth: NDArray[np.floating], blur: flo
     # The flesh under each pixel: layers that end at the skin have the same colour there.
     under = ndimage.distance_transform_edt(~deep, return_distances=False, return_indices=True)
     smooth = blurred(rgb, blur)
-    differs = np.linalg.norm(smooth - smooth[under[0], under[1]], axis=-1) > LEAST_CONTRAST
+    differs = lengths(smooth - smooth[under[0], under[1]]) > LEAST_CONTRAST
     for i in reversed(range(STEPS)):
         band = (depth > STEP * i) & (depth <= STEP * (i + 1))
         if not band.any() or np.linalg.norm(np.median(rgb[band], axis=0) - flesh) <= LEAST_CONTRAST:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.threads import side_by_side
-from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, smooth_noise
+from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, Places, smooth_noise
 from training.priors.exemplar.quilting.disc import REACH, to_pixels
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs
 from training.priors.exemplar.quilting.seams import nearest_colour
@@ -111,19 +111,21 @@ class Cells:
     """(M, K). Colour by which closed things stand out, under the rind."""
     colours: NDArray[np.float32]
     """(M, K, 3)."""
+    places: list[Places]
+    """What the labels read at the cells."""
 
 
 def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: float, seed: int) -> Cells:
     """What all labels cost and show at all points; `cell` is the distance of points in radii."""
     shape = len(ball.points), len(labels)
     costs, gains, closed = (np.empty(shape, np.float32) for _ in range(3))
-    out = Cells(costs, gains, closed, np.empty((*shape, 3), np.float32))
-    own = [label for label in labels if label.is_own and label.is_horizontal]
-    sheets_here = [read_discs(label.chunks.places(ball), [s.sheets for s in label.sources])[:, 0] for label in own]
+    read = side_by_side(lambda label: label.chunks.places(ball), labels)
+    out = Cells(costs, gains, closed, np.empty((*shape, 3), np.float32), read)
+    own = [(label, places) for label, places in zip(labels, read, strict=True) if label.is_own and label.is_horizontal]
+    sheets_here = [read_discs(places, [s.sheets for s in label.sources])[:, 0] for label, places in own]
 
     def weigh(n: int) -> None:
-        label = labels[n]
-        places = label.chunks.places(ball)
+        label, places = labels[n], read[n]
         even = label.read_even(places)
         out.colours[:, n] = label.in_own_tones(even, places, distance_across(labels, label, ball))
         there = read_discs(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)

@@ -7,6 +7,7 @@ the outlines of the body and of the photographed thing are.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ __all__ = [
     "Disc",
     "Medians",
     "disc_grid",
+    "disc_radius",
     "enlarged",
     "even_around",
     "even_sides",
@@ -101,7 +103,7 @@ class Disc:
         rim = ndimage.gaussian_filter1d(ndimage.median_filter(rim, 13, mode="wrap"), 3, mode="wrap")
         x, y = disc_grid()
         angle = np.arctan2(y, x) % (2 * np.pi)
-        r = np.interp(angle, angles, rim, period=2 * np.pi) * np.minimum(np.hypot(x, y), RIM)
+        r = np.interp(angle, angles, rim, period=2 * np.pi) * np.minimum(disc_radius(), RIM)
         sigma = max(0.5 * rim.mean() * 2 * REACH / DISC_PIXELS - 0.4, 0.0)  # against aliasing
         rgb = blurred(picture.rgb, sigma)
         found = _sample(rgb, row - r * np.sin(angle), column + r * np.cos(angle))
@@ -133,11 +135,22 @@ seeds, sheets and the arms of a star. With even tones the patches of photographs
 (three seeds, three pairs)."""
 
 
+@cache
 def disc_grid() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The places x and y of a disc's pixels, both (DISC_PIXELS, DISC_PIXELS)."""
+    """The places x and y of a disc's pixels, both (DISC_PIXELS, DISC_PIXELS); not to be written to."""
     axis = ((np.arange(DISC_PIXELS) + 0.5) / DISC_PIXELS * 2 - 1) * REACH
     x, y = np.meshgrid(axis, axis, indexing="ij")
+    for places in (x, y):
+        places.setflags(write=False)
     return x, y
+
+
+@cache
+def disc_radius() -> NDArray[np.float64]:
+    """(DISC_PIXELS, DISC_PIXELS). How far a disc's pixels are from its middle; not to be written to."""
+    radius = np.hypot(*disc_grid())
+    radius.setflags(write=False)
+    return radius
 
 
 def to_pixels(
@@ -159,10 +172,15 @@ class Medians:
 
     def __init__(self, values: NDArray[np.float32]) -> None:
         """`values`: (H, W, C)."""
-        self._values, self._ranks = values, dict[int, Ranks]()
+        self._values, self._ranks, self._known = values, dict[int, Ranks](), dict[float, NDArray[np.float32]]()
 
     def over(self, radius: float) -> NDArray[np.float32]:
         """(H / REDUCTION, W / REDUCTION, C). The medians over discs of this radius, in radii."""
+        if radius not in self._known:
+            self._known[radius] = self._found(radius)
+        return self._known[radius]
+
+    def _found(self, radius: float) -> NDArray[np.float32]:
         pixels = radius * DISC_PIXELS / (2 * REACH)
         n = max(REDUCTION, REDUCTION * int(pixels / (REDUCTION * MEDIAN_PIXELS)))
         reach = int(np.ceil(pixels / n))
@@ -219,7 +237,7 @@ def match_light(disc: Disc, to: Disc) -> Disc:
     x, y = disc_grid()
     level = np.abs(y) < np.abs(x)
     colours, wanted = (ring_medians(d, RINGS, level)[CORE_RINGS:] for d in (disc, to))
-    depth = np.maximum(np.hypot(x, y), RIND_RADIUS)
+    depth = np.maximum(disc_radius(), RIND_RADIUS)
     rings = np.arange(CORE_RINGS, RINGS)
     middles = np.maximum((rings + 0.5) / RINGS, RIND_RADIUS)
     unlike = np.stack(
@@ -236,7 +254,7 @@ def match_light(disc: Disc, to: Disc) -> Disc:
 def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True) -> NDArray[np.float32]:
     """(rings, 3). The median colours of rings of the same width from the middle to the rim, over the pixels `where`
     (P, P) is true."""
-    ring = np.where(where, (np.hypot(*disc_grid()) * rings).astype(int), rings).ravel()
+    ring = np.where(where, (disc_radius() * rings).astype(int), rings).ravel()
     order = np.argsort(ring, kind="stable")
     ends = np.searchsorted(ring[order], np.arange(rings + 1))
     of_ring = np.split(disc.rgb.reshape(-1, 3)[order], ends)[1:-1]
@@ -252,7 +270,7 @@ def even_around(disc: Disc) -> Disc:
     tones = ndimage.gaussian_filter1d(polar, TONE_ANGLE * DIRECTIONS / (2 * np.pi), axis=1, mode="wrap")
     excess = ndimage.gaussian_filter1d(tones - tones.mean(1, keepdims=True), 1.5, axis=0, mode="nearest")
     x, y = disc_grid()
-    at = np.hypot(x, y) * (len(radius) - 1), np.arctan2(y, x) % (2 * np.pi) * DIRECTIONS / (2 * np.pi)
+    at = disc_radius() * (len(radius) - 1), np.arctan2(y, x) % (2 * np.pi) * DIRECTIONS / (2 * np.pi)
     closed = np.concatenate([excess, excess[:, :1]], axis=1)
     return Disc(np.clip(disc.rgb - _sample(closed, *at), 0, 1))
 

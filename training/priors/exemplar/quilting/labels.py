@@ -12,6 +12,7 @@ from training.priors.exemplar.quilting.chunks import Ball, Chunks, Places, Rows
 from training.priors.exemplar.quilting.disc import (
     Disc,
     disc_grid,
+    disc_radius,
     even_around,
     even_sides,
     filled_in,
@@ -27,6 +28,7 @@ from training.priors.exemplar.quilting.things.core import Core
 from training.priors.exemplar.quilting.things.grains import Grains
 from training.priors.exemplar.quilting.things.seeds import Seeds
 from training.priors.exemplar.quilting.things.stamps import Things
+from training.priors.exemplar.sampling import lengths
 from training.priors.exemplar.strata import beside_own
 
 __all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs"]
@@ -219,7 +221,7 @@ class Label:
             rows = places.of(n, self.sources)
             gone[rows] = source.persistence.gone(places.x[rows], places.y[rows], places.distance[rows])
         closed = shown - read_discs(places, [s.parts.things for s in self.sources])
-        return gone, np.maximum(gone - np.linalg.norm(closed, axis=1), 0)
+        return gone, np.maximum(gone - lengths(closed), 0)
 
     def in_own_tones(
         self, even: NDArray[np.float32], places: Places, crossing: NDArray[np.float32]
@@ -239,10 +241,10 @@ def _closed_things(disc: Disc, persistence: Persistence) -> Disc:
     """How far the colours of closed things are from those of their ring and of what is around them."""
     x, y = disc_grid()
     medians = ring_medians(disc, FINE_RINGS)
-    at = np.hypot(x, y) * FINE_RINGS - 0.5
+    at = disc_radius() * FINE_RINGS - 0.5
     ring = np.stack([np.interp(at, np.arange(FINE_RINGS), medians[:, c]) for c in range(3)], -1)
     around = persistence.gone(x.ravel(), y.ravel(), np.full(x.size, LARGEST)).reshape(x.shape)
-    stands_out = np.minimum(np.linalg.norm(disc.rgb - ring, axis=-1), around)
+    stands_out = np.minimum(lengths(disc.rgb - ring), around)
     return Disc(np.repeat(stands_out[..., None], 3, -1).astype(np.float32))
 
 

@@ -21,9 +21,10 @@ from training.priors.exemplar.quilting.disc import (
     Disc,
     Medians,
     disc_grid,
+    disc_radius,
     to_pixels,
 )
-from training.priors.exemplar.sampling import blurred, reduced
+from training.priors.exemplar.sampling import blurred, lengths, reduced
 
 __all__ = ["Persistence", "find_sheets"]
 
@@ -66,7 +67,7 @@ class Persistence:
     def __init__(self, disc: Disc) -> None:
         small = reduced(disc.rgb, REDUCTION)
         medians = Medians(disc.rgb)
-        gone = [np.linalg.norm(small - medians.over(distance), axis=-1) for distance in DISTANCES]
+        gone = [lengths(small - medians.over(distance)) for distance in DISTANCES]
         self._gone = np.stack([np.zeros_like(gone[0]), *gone]).astype(np.float32)
 
     def gone(
@@ -99,11 +100,11 @@ def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
     for_spans(_follow_lines, RADII, contrast, along, turns, SHEET_QUANTILE, means, steady, span=ROWS)
     for_spans(_steadiest, RADII, contrast, along, turns, means, steady, found, span=ROWS)
     flesh = contrast[int(0.2 * RADII) : int(0.8 * RADII)]
-    surely = np.clip(found / (np.linalg.norm(flesh, axis=-1).std() + 0.01) - 0.5, 0, 1)
+    surely = np.clip(found / (lengths(flesh).std() + 0.01) - 0.5, 0, 1)
     surely[(radius < SHEET_RADII[0]) | (radius > SHEET_RADII[1])] = 0
     px, py = disc_grid()
     turn = np.arctan2(py, px) % (2 * np.pi) / (2 * np.pi) * ANGLES
-    at = np.stack([np.hypot(px, py) * RADII - 0.5, turn])
+    at = np.stack([disc_radius() * RADII - 0.5, turn])
     closed = np.concatenate([surely, surely[:, :1]], axis=1)
     sheets = ndimage.map_coordinates(closed, at, order=1, cval=0, output=np.float32)
     thin, wide = (persistence.gone(px.ravel(), py.ravel(), np.full(px.size, d)) for d in (THIN, WIDE))

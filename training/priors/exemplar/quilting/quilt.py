@@ -27,6 +27,7 @@ from training.priors.exemplar.quilting.chunks import (
     Ball,
     OwnAzimuths,
     OwnHeight,
+    Places,
     Sectors,
     Slabs,
 )
@@ -44,7 +45,7 @@ from training.priors.exemplar.quilting.things.core import Core
 from training.priors.exemplar.quilting.things.cores import Cores
 from training.priors.exemplar.quilting.things.packing import REACHES, Packing, pack
 from training.priors.exemplar.quilting.things.stamps import Things
-from training.priors.exemplar.sampling import read_trilinear, smoothstep
+from training.priors.exemplar.sampling import lengths, read_trilinear, smoothstep
 from training.priors.prior import Progress
 
 __all__ = ["BLOCK", "Quilt", "make_quilt", "restore_quilt"]
@@ -229,7 +230,7 @@ def make_quilt(
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
     log.info("closed things %.4f of %.4f, gain %.2f to %.2f", shown.mean(), wanted.mean(), gain.min(), gain.max())
-    return _assembled(rinds, labels, across, along, seed, number, chosen, ball)
+    return _assembled(rinds, labels, across, along, seed, number, chosen, ball, at_cells.places)
 
 
 def restore_quilt(
@@ -244,7 +245,9 @@ def restore_quilt(
     labels = _make_labels(across, along, height, seed)
     if not 0 <= chosen.min() <= chosen.max() < len(labels):
         raise ValueError("a label that no picture has")
-    return _assembled(rinds, labels, across, along, seed, number, chosen, Ball.of(points))
+    ball = Ball.of(points)
+    places = side_by_side(lambda label: label.chunks.places(ball), labels)
+    return _assembled(rinds, labels, across, along, seed, number, chosen, ball, places)
 
 
 def _make_sources(
@@ -289,17 +292,19 @@ def _assembled(
     number: NDArray[np.int32],
     chosen: NDArray[np.int32],
     ball: Ball,
+    places: list[Places],
 ) -> Quilt:
+    """The quilt of labels that are `chosen` (M,) at the cells and read these `places` there."""
     textures = {
         h: TextureField([source.parts.texture for source in sources], h, np.random.default_rng([seed, 5, int(h)]))
         for h, sources in ((True, across), (False, along))
         if sources
     }
-    tones = _blended_tones(labels, ball, number, chosen)
+    tones = _blended_tones(labels, ball, number, chosen, places)
     things = [source.things for source in [*across, *along]]
     own = [source.seeds.things(source.disc) for source in [*across[:1], *along[:OWN_AZIMUTHS]]]  # in their own light
     ground = Quilt(rinds, labels, number, chosen, textures, tones, [*things, *own], None)
-    return replace(ground, packing=_packed(ground, things, own, across, along, seed, ball))
+    return replace(ground, packing=_packed(ground, things, own, across, along, seed, places))
 
 
 def _packed(
@@ -309,7 +314,7 @@ def _packed(
     across: list[Source],
     along: list[Source],
     seed: int,
-    ball: Ball,
+    places: list[Places],
 ) -> Packing | None:
     """The pictures' things as solids in the quilt. In own planes, these are the pictures' `own` seeds where they show
     them; elsewhere, grains where both the chosen chunks and the radial pictures show some, and seeds where their
@@ -320,7 +325,7 @@ def _packed(
     planes = [label for label in ground.labels if label.is_own]
     cover = np.zeros(ground.number.shape, np.float32)
     if any(some.are_close for some in things):
-        cover[ground.number >= 0] = _grain_cover(ground.labels, ground.chosen, ball)
+        cover[ground.number >= 0] = _grain_cover(ground.labels, ground.chosen, places)
     both = zip([*across, *along], things, strict=True)
     around_them = np.concatenate([source.bare.tones.read(*some.places.T) for source, some in both])
     first_radial = sum(len(some.places) for some in things[: len(across)])
@@ -364,11 +369,10 @@ def _is_clear(laid: Candidates, planes: list[Label]) -> NDArray[np.bool_]:
     return clear
 
 
-def _grain_cover(labels: list[Label], chosen: NDArray[np.int32], ball: Ball) -> NDArray[np.float32]:
+def _grain_cover(labels: list[Label], chosen: NDArray[np.int32], read: list[Places]) -> NDArray[np.float32]:
     """(M,). How much of what the chosen labels (M,) show is covered by grains and by no sheet."""
     cover = np.zeros(len(chosen), np.float32)
-    for n, label in enumerate(labels):
-        places = label.chunks.places(ball)
+    for n, (label, places) in enumerate(zip(labels, read, strict=True)):
         for m, source in enumerate(label.sources):
             rows = np.flatnonzero((chosen == n) & (places.picture == m))
             x, y = places.x[rows], places.y[rows]
@@ -382,7 +386,7 @@ def _in_cells(points: NDArray[np.float32], size: int) -> NDArray[np.float32]:
 
 
 def _blended_tones(
-    labels: list[Label], ball: Ball, number: NDArray[np.int32], chosen: NDArray[np.int32]
+    labels: list[Label], ball: Ball, number: NDArray[np.int32], chosen: NDArray[np.int32], read: list[Places]
 ) -> NDArray[np.float32]:
     """(X, Y, Z, 3). The labels' tones, blended at seams: the lower of two bands of a multiresolution spline (Burt and
     Adelson 1983)."""
@@ -391,10 +395,9 @@ def _blended_tones(
     weights = np.zeros((len(ball.points), 1), np.float32)
 
     def weigh(n: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        label, here = labels[n], np.zeros(number.shape, np.float32)
+        label, places, here = labels[n], read[n], np.zeros(number.shape, np.float32)
         here[inside] = chosen == n
         weight = ndimage.gaussian_filter(here, TONE_BLEND * LEVELS[-1] / 2)[inside]
-        places = label.chunks.places(ball)
         if label.is_own:
             weight *= 1 + OWN_WEIGHT * np.exp(-np.square(places.distance / TONE_BLEND))
         return weight[:, None], weight[:, None] * label.read_tones(places, distance_across(labels, label, ball))
@@ -429,7 +432,7 @@ def _grid(size: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.f
     """Rows of the cells (X, Y, Z), the cells (M, 3) in and just around the ball, and their points (M, 3)."""
     axis = ((np.arange(size + 2 * MARGIN) + 0.5 - MARGIN) * 2 / size - 1).astype(np.float32)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
-    inside = np.linalg.norm(grid, axis=-1) < 1 + 4.4 / size
+    inside = lengths(grid) < 1 + 4.4 / size
     number = np.full(inside.shape, -1, np.int32)
     number[inside] = np.arange(inside.sum(), dtype=np.int32)
     return number, np.argwhere(inside).astype(np.int32), grid[inside]

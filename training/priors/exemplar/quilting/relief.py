@@ -24,12 +24,12 @@ from training.priors.exemplar.quilting.disc import (
     PIXEL,
     Disc,
     Medians,
-    disc_grid,
+    disc_radius,
     enlarged,
     filled_in,
     to_pixels,
 )
-from training.priors.exemplar.sampling import reduced
+from training.priors.exemplar.sampling import lengths, reduced
 
 __all__ = ["NARROWEST", "THING_CONTRAST", "TYPICAL", "Relief"]
 
@@ -129,8 +129,8 @@ class Relief:
     def closed_until(self, rind: float) -> NDArray[np.floating]:
         """(P, P). Distance in radii up to which each pixel shows a closed thing; -1 where there is none. What touches a
         rind of this depth is no closed thing: flesh stands out there from the colours of both."""
-        apart = np.linalg.norm(self.levels[:-1, ..., :3] - self.levels[-1, ..., :3], axis=-1)
-        radius = np.hypot(*disc_grid())
+        apart = lengths(self.levels[:-1, ..., :3] - self.levels[-1, ..., :3])
+        radius = disc_radius()
         least = np.maximum(LEAST_CONTRAST, TYPICAL * np.median(apart[:, radius < 1], axis=1))
         heights = np.moveaxis(self.heights, -1, 0)
         until = np.where((apart > least[:, None, None]) & (heights < CLOSED), heights, -1).max(0)
@@ -143,8 +143,8 @@ class Relief:
     def contrast(self) -> NDArray[np.floating]:
         """(P, P). How far each pixel stands out from what is left where all things have ended, over the least that
         counts; 0 outside of the face."""
-        inside = np.hypot(*disc_grid()) < 1
-        apart = np.linalg.norm(self.levels[0, ..., :3] - self.levels[-1, ..., :3], axis=-1) * inside
+        inside = disc_radius() < 1
+        apart = lengths(self.levels[0, ..., :3] - self.levels[-1, ..., :3]) * inside
         return apart / max(THING_CONTRAST, TYPICAL * float(np.median(apart[inside])))
 
     def closing(self, disc: Disc, strength: Disc, region: NDArray[np.bool_], hidden: NDArray[np.bool_]) -> Relief:
@@ -188,12 +188,12 @@ def _end(
     given = [np.zeros(before.shape[:2])]
     for radius in radii[1:-1]:
         here = face.over(radius)
-        left, right = (np.linalg.norm(here - there, axis=-1) for there in (before, after))
+        left, right = (lengths(here - there) for there in (before, after))
         given.append(left / (left + right + 1e-3))
     given.append(np.ones(before.shape[:2]))
     height = _half_way(np.maximum.accumulate(np.stack(given), axis=0), radii)
-    contrast = np.linalg.norm(before - after, axis=-1)
-    unlike = enlarged(np.linalg.norm(fine - after, axis=-1)[..., None])
+    contrast = lengths(before - after)
+    unlike = enlarged(lengths(fine - after)[..., None])
     calm = 1 - CALM * Medians(unlike).over(AROUND * width)[..., 0] / (contrast + 0.01)
     height = np.where(calm > 0, np.minimum(height / np.maximum(calm, 0.01), NEVER), NEVER)
     weight = contrast**2 / (contrast**2 + NO_CONTRAST**2)

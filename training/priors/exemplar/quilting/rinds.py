@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.quilting.disc import Disc, disc_grid, ring_medians
+from training.priors.exemplar.quilting.disc import Disc, disc_grid, disc_radius, ring_medians
 from training.priors.exemplar.rind import FLESH, rind_depth
-from training.priors.exemplar.sampling import blurred
+from training.priors.exemplar.sampling import blurred, lengths
 
 __all__ = ["Rinds", "rind_of"]
 
@@ -57,7 +57,7 @@ BLUR = 3.0
 def rind_of(disc: Disc, is_horizontal: bool) -> tuple[float, NDArray[np.float32], float]:
     """Depth in radii of the layers along the rim, to where half of their contrast with the flesh is left; the colour of
     the flesh (3,); and half of that contrast."""
-    depth = np.maximum(1 - np.hypot(*disc_grid()), 0)
+    depth = np.maximum(1 - disc_radius(), 0)
     deepest = rind_depth(disc.rgb, depth, BLUR, goes_around=is_horizontal)
     colours = ring_medians(disc, RINGS)[::-1]
     flesh = colours[int(FLESH[0] * RINGS) : int(FLESH[1] * RINGS)].mean(0)
@@ -115,7 +115,7 @@ class Rinds:
     def even(self, disc: Disc, depths: NDArray[np.float64], is_horizontal: bool) -> Disc:
         """The picture, whose rind has these depths (ANGLES,), with the common rind."""
         x, y = disc_grid()
-        radius, turn = np.hypot(x, y), np.arctan2(y, x)
+        radius, turn = disc_radius(), np.arctan2(y, x)
         usual = np.full(ANGLES, self.level) if is_horizontal else self.usual
         depth = _moved(np.maximum(1 - radius, 0), _around(usual, turn), _around(depths, turn))
         there = np.where(radius < 1, 1 - depth, radius)
@@ -142,7 +142,7 @@ def _depths(disc: Disc, is_horizontal: bool) -> NDArray[np.float64]:
     turn = np.arange(ANGLES) / ANGLES * 2 * np.pi
     smooth = Disc(blurred(disc.rgb, BLUR))
     rays = smooth.read((1 - depth[:, None]) * np.cos(turn), (1 - depth[:, None]) * np.sin(turn))
-    contrast = np.linalg.norm(rays - flesh, axis=-1)
+    contrast = lengths(rays - flesh)
     strongest = contrast[: max(int(usual / STEP), 1)].argmax(0)
     under = (contrast < half) & (np.arange(len(depth))[:, None] >= strongest)
     ends = np.where(under.any(0), np.maximum(depth[under.argmax(0)], STEP), depth[-1])  # no rind counts as a thin one

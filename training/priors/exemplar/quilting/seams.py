@@ -48,16 +48,13 @@ def _improve_labels(
     strength: np.float32,
     parity: int,
 ) -> None:
-    count = colours.shape[1]
+    near, share = np.empty(14, np.int64), np.empty(14, np.float32)
     for m in range(start, stop):
         i, j, k = cells[m, 0], cells[m, 1], cells[m, 2]
         if (i & 1) + 2 * (j & 1) + 4 * (k & 1) != parity:
             continue
-        energy = np.empty(count, np.float32)
-        for a in range(count):
-            energy[a] = costs[m, a]
+        found = 0
         for d in range(14):
-            share = _F1
             if d < 6:
                 step = 1 if d & 1 else -1
                 x, y, z = i, j, k
@@ -68,28 +65,41 @@ def _improve_labels(
                 else:
                     z += step
             else:
-                share = _HALF
                 x = i + (1 if d & 1 else -1)
                 y = j + (1 if (d - 6) >> 1 & 1 else -1)
                 z = k + (1 if (d - 6) >> 2 & 1 else -1)
             if min(x, y, z) < 0 or x >= number.shape[0] or y >= number.shape[1] or z >= number.shape[2]:
                 continue
-            n = number[x, y, z]
-            if n < 0:
+            if number[x, y, z] >= 0:
+                near[found], share[found] = number[x, y, z], _F1 if d < 6 else _HALF
+                found += 1
+        # An energy only grows with each neighbour, so most labels are out of the question after few of them.
+        best, least = labels[m], np.float32(np.inf)
+        for n in range(-1, colours.shape[1]):
+            a = labels[m] if n < 0 else n
+            if n == labels[m]:
                 continue
-            other = labels[n]
-            for a in range(count):
-                if a == other:
-                    continue
-                here = np.float32(0)
-                there = np.float32(0)
-                for c in range(3):
-                    u = colours[m, a, c] - colours[m, other, c]
-                    v = colours[n, a, c] - colours[n, other, c]
-                    here += u * u
-                    there += v * v
-                energy[a] += share * strength * (np.sqrt(here) + np.sqrt(there) + NO_SEAM)
-        labels[m] = energy.argmin()
+            energy = costs[m, a]
+            for d in range(found):
+                if energy > least:
+                    break
+                if a != labels[near[d]]:
+                    energy += share[d] * strength * _seam(colours, m, near[d], a, labels[near[d]])
+            if energy < least or (energy == least and a < best):
+                best, least = a, energy
+        labels[m] = best
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _seam(colours, m, n, a, b):  # type: ignore[no-untyped-def]
+    """Cost of a seam between labels a and b at the neighbours m and n."""
+    here, there = np.float32(0), np.float32(0)
+    for c in range(3):
+        u = colours[m, a, c] - colours[m, b, c]
+        v = colours[n, a, c] - colours[n, b, c]
+        here += u * u
+        there += v * v
+    return np.sqrt(here) + np.sqrt(there) + NO_SEAM
 
 
 def nearest_colour(

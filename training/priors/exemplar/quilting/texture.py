@@ -23,11 +23,12 @@ from training.priors.exemplar.quilting.disc import (
     Disc,
     Medians,
     disc_grid,
+    disc_radius,
     enlarged,
     halo,
     smooth_disc,
 )
-from training.priors.exemplar.sampling import blurred, smoothstep
+from training.priors.exemplar.sampling import blurred, lengths, smoothstep
 from training.priors.exemplar.strata import LAYER, Waves, read_layers
 
 __all__ = ["FINE", "WIDTH", "Parts", "TextureField", "take_apart"]
@@ -76,11 +77,11 @@ def take_apart(disc: Disc, width: float, things: NDArray[np.bool_] | None = None
     `things` (P, P): where there is surely no texture.
     """
     residual = disc.rgb - enlarged(Medians(disc.rgb).over(width))
-    contrast = np.linalg.norm(residual, axis=-1)
+    contrast = lengths(residual)
     scale = DISC_PIXELS / (2 * REACH)
     # A thing counts as one over all its width and a little beyond.
     strongest = blurred(ndimage.maximum_filter(contrast, int(0.6 * width * scale) | 1), 0.3 * width * scale)
-    radius = np.hypot(*disc_grid())
+    radius = disc_radius()
     everywhere = np.median(strongest[(radius > FLESH[0]) & (radius < FLESH[1])])
     usual = np.minimum(enlarged(Medians(strongest[..., None]).over(AROUND))[..., 0], everywhere)
     weight = (1 - smoothstep(strongest / (usual + 0.002), *STRONG)).astype(np.float32)

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, Disc, disc_grid, to_pixels
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, Disc, disc_grid, disc_radius, to_pixels
 from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST, TYPICAL
 from training.priors.exemplar.rind import FLESH
-from training.priors.exemplar.sampling import blurred, read_bilinear
+from training.priors.exemplar.sampling import blurred, lengths, read_bilinear
 
 __all__ = ["CORE", "Core"]
 
@@ -89,7 +89,7 @@ class Core:
         It has the proportions that radial faces, cut `along` the axis, show; if they do not show it, it is as tall as a
         disc of its area is wide.
         """
-        radius, contrast = np.hypot(*disc_grid()), _contrast(disc)
+        radius, contrast = disc_radius(), _contrast(disc)
         parts, _ = ndimage.label(ndimage.binary_opening(contrast >= 1))
         found = (parts > 0) & np.isin(parts, parts[radius < CORE])
         if not found.any() or (found & (radius > 1 - rind)).any():
@@ -152,10 +152,10 @@ class Core:
 
 def _contrast(disc: Disc) -> NDArray[np.floating]:
     """(P, P). How far a face of even tones stands out from its flesh, over the least that counts; 0 outside of it."""
-    radius = np.hypot(*disc_grid())
+    radius = disc_radius()
     rgb = blurred(disc.rgb, 1.0)
     flesh = np.median(rgb[(radius > 1 - FLESH[1]) & (radius < 1 - FLESH[0])], axis=0)
-    apart = np.linalg.norm(rgb - flesh, axis=-1) * (radius < 1)
+    apart = lengths(rgb - flesh) * (radius < 1)
     return apart / max(THING_CONTRAST, TYPICAL * float(np.median(apart[radius < INSIDE])))
 
 

@@ -15,7 +15,7 @@ from scipy import ndimage
 from skimage.measure import regionprops
 from skimage.segmentation import expand_labels
 
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, REACH, Disc, disc_grid
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, REACH, Disc, disc_grid, disc_radius
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.things.core import CORE
 from training.priors.exemplar.quilting.things.stamps import Things
@@ -67,7 +67,7 @@ class Seeds:
     def of(cls, relief: Relief, is_horizontal: bool, rind: float) -> Seeds:
         """The seeds of a face with this relief and a rind of this depth in radii."""
         x, y = disc_grid()
-        radius = np.hypot(x, y)
+        radius = disc_radius()
         from_core = np.hypot(x, y * is_horizontal)
         contrast = relief.contrast()
         left, found = contrast, np.zeros(radius.shape, np.int32)
