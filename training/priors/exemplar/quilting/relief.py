@@ -99,7 +99,10 @@ class Relief:
         ends: list[NDArray[np.floating]] = []
         for n in range(len(WIDTHS)):
             ends.append(_end(disc.rgb, face, medians, n, ends))
-        made = cls._made(disc, strength, medians, ends)
+        of_strength = Medians(strength.rgb[..., :1])
+        first = np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)
+        after = [_level(median, of_strength.over(width)) for median, width in zip(medians, WIDTHS, strict=True)]
+        made = cls(np.stack([first, *after]), _heights(ends))
         # The function for small holes suppresses warnings of the whole process, which threads must not do.
         open_parts = made.closed_until(rind) < 0
         closed = ~remove_small_objects(open_parts, max_size=round(np.pi * (WIDTHS[1] / PIXEL) ** 2))
@@ -108,23 +111,8 @@ class Relief:
         # Among several things, as in a star, a median as wide as the widest has the colour of none of them.
         medians[-1] = Medians(filled_in(disc.rgb, closed)).over(WIDTHS[-1])
         ends[-1] = _end(disc.rgb, face, medians, len(WIDTHS) - 1, ends[:-1])
-        return cls._made(disc, strength, medians, ends)
-
-    @classmethod
-    def _made(
-        cls,
-        disc: Disc,
-        strength: Disc,
-        medians: list[NDArray[np.float32]],
-        ends: list[NDArray[np.floating]],
-    ) -> Relief:
-        of_strength = Medians(strength.rgb[..., :1])
-        after = [np.concatenate([median, of_strength.over(w)], -1) for median, w in zip(medians, WIDTHS, strict=True)]
-        first = np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)
-        # What closes takes along what lies in it.
-        lowest = list(accumulate(ends[::-1], np.minimum))[::-1]
-        at = enlarged(np.stack(lowest, -1).astype(np.float32)) / ROUND
-        return cls(np.stack([first, *map(enlarged, after)]), at)
+        made.levels[-1] = _level(medians[-1], of_strength.over(WIDTHS[-1]))
+        return cls(made.levels, _heights(ends))
 
     def closed_until(self, rind: float) -> NDArray[np.floating]:
         """(P, P). Distance in radii up to which each pixel shows a closed thing; -1 where there is none. What touches a
@@ -170,6 +158,18 @@ class Relief:
         return replace(
             self, levels=np.stack([reduced(level, n) for level in self.levels]), heights=reduced(self.heights, n)
         )
+
+
+def _level(median: NDArray[np.float32], strength: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(P, P, 4). A level of a relief, of the medians (H, W, 3) of its colours and (H, W, 1) of its strength."""
+    return enlarged(np.concatenate([median, strength], -1))
+
+
+def _heights(ends: list[NDArray[np.floating]]) -> NDArray[np.float32]:
+    """(P, P, L). The heights of a relief whose colours give way at these radii (H, W) of medians: what closes takes
+    along what lies in it."""
+    lowest = list(accumulate(ends[::-1], np.minimum))[::-1]
+    return enlarged(np.stack(lowest, -1).astype(np.float32)) / ROUND
 
 
 def _end(
