@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from engine.threads import side_by_side
 from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, Places, smooth_noise
-from training.priors.exemplar.quilting.disc import REACH, to_pixels
-from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs
+from training.priors.exemplar.quilting.disc import REACH, read_map, to_pixels
+from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs, read_maps
 from training.priors.exemplar.quilting.seams import nearest_colour
 
 __all__ = ["REGIONS", "Cells", "Regions", "closed_of", "weigh_labels"]
@@ -95,7 +95,7 @@ def closed_of(sources: list[Source], ball: Ball, is_horizontal: bool) -> NDArray
     """(M,). How far closed things stand out in the pictures, as if the ball had them all around the axis, or at all
     heights."""
     places = [ball.level.T] if is_horizontal else [(side * ball.radius, ball.points[:, 2]) for side in (1, -1)]
-    closed = [source.closed.read(x, y)[:, 0] for source in sources for x, y in places]
+    closed = [read_map(source.closed, x, y) for source in sources for x, y in places]
     return np.asarray(np.mean(closed, axis=0) * (1 - ball.rind), np.float32)
 
 
@@ -122,13 +122,13 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
     read = side_by_side(lambda label: label.chunks.places(ball), labels)
     out = Cells(costs, gains, closed, np.empty((*shape, 3), np.float32), read)
     own = [(label, places) for label, places in zip(labels, read, strict=True) if label.is_own and label.is_horizontal]
-    sheets_here = [read_discs(places, [s.sheets for s in label.sources])[:, 0] for label, places in own]
+    sheets_here = [read_maps(places, [s.sheets for s in label.sources]) for label, places in own]
 
     def weigh(n: int) -> None:
         label, places = labels[n], read[n]
         even = label.read_even(places)
         out.colours[:, n] = label.in_own_tones(even, places, distance_across(labels, label, ball))
-        there = read_discs(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
+        there = read_maps(places, [s.closed for s in label.sources]) * (1 - ball.rind)
         gone, left = label.gone(places, even)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
@@ -136,7 +136,7 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
         closed[:, n] = gain
         surprise, sheet = np.zeros(len(cost), np.float32), np.zeros(len(cost), np.float32)
         if label.is_horizontal:
-            sheet = read_discs(places, [s.sheets for s in label.sources])[:, 0]
+            sheet = read_maps(places, [s.sheets for s in label.sources])
             if along:  # a sheet may well lie beside a radial cut
                 seen = read_discs(places, [s.blurred for s in label.sources])
                 surprise = np.minimum(_unseen(seen, along, ball) / UNSEEN_MOST, 1) * (1 - sheet)

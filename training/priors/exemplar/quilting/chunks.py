@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.priors.exemplar.noise import Noise
-from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
+from training.priors.exemplar.quilting.disc import REACH, to_pixels
 from training.priors.exemplar.sampling import smoothstep
 
 __all__ = [
@@ -142,11 +142,11 @@ class Chunks(Protocol):
 class OwnHeight:
     """The first horizontal picture as it was taken, at one height; away from there it drifts, except for its sheets."""
 
-    def __init__(self, height: float, sheets: Disc, rng: np.random.Generator) -> None:
-        """`sheets`: how surely each place shows a sheet, the same in all three channels."""
+    def __init__(self, height: float, sheets: NDArray[np.float32], rng: np.random.Generator) -> None:
+        """`sheets` (P, P): how surely each place of the picture shows a sheet."""
         self.height = np.float32(height)
-        pixels = len(sheets.rgb) / (2 * REACH)
-        wide = ndimage.maximum_filter(sheets.rgb[..., 0], int(2 * SHEET_HOLD * pixels) | 1)
+        pixels = len(sheets) / (2 * REACH)
+        wide = ndimage.maximum_filter(sheets, int(2 * SHEET_HOLD * pixels) | 1)
         self.held = ndimage.gaussian_filter(wide, SHEET_HOLD * pixels)
         self.drift = Noise(DRIFT_LENGTHS, 2, rng)
 

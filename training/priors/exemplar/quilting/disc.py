@@ -33,6 +33,7 @@ __all__ = [
     "filled_in",
     "halo",
     "match_light",
+    "read_map",
     "ring_medians",
     "smooth_disc",
     "to_pixels",
@@ -124,9 +125,8 @@ class Disc:
 
     def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at places (...), (...)."""
-        at = np.broadcast_arrays(*to_pixels(x, y, len(self.rgb)))
-        rows, columns = (a.ravel() for a in at)
-        return read_bilinear(self.rgb, rows, columns).reshape(*at[0].shape, 3)
+        shape = np.broadcast_shapes(x.shape, y.shape)
+        return _read(self.rgb, x, y).reshape(*shape, 3)
 
 
 TONE_ANGLE, TONE_LENGTH = 0.4, 0.15
@@ -151,6 +151,17 @@ def disc_radius() -> NDArray[np.float64]:
     radius = np.hypot(*disc_grid())
     radius.setflags(write=False)
     return radius
+
+
+def read_map(values: NDArray[np.float32], x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(...). Values (P, P) on a disc's pixels, at places (...), (...)."""
+    return _read(values[..., None], x, y).reshape(np.broadcast_shapes(x.shape, y.shape))
+
+
+def _read(values: NDArray[np.float32], x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(M, C). Values (P, P, C) on a disc's pixels, at places of M values in all."""
+    rows, columns = (at.ravel() for at in np.broadcast_arrays(*to_pixels(x, y, len(values))))
+    return read_bilinear(values, rows, columns)
 
 
 def to_pixels(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from engine.scene.inside import Kind
 from training.priors.exemplar.quilting.chunks import Ball
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, Disc, disc_grid, to_pixels
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, disc_grid, read_map, to_pixels
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt
 
@@ -33,7 +33,8 @@ class _Face:
 
     rind: float
     """Depth of the rind in radii."""
-    sheets: Disc
+    sheets: NDArray[np.float32]
+    """(P, P). How surely each place shows a sheet."""
     until: NDArray[np.float32]
     """(P, P). Distance in radii from its plane up to which each pixel shows a thing; below 0 where there is none."""
 
@@ -51,7 +52,7 @@ class _Face:
         """(M,). The kinds at places (M,), (M,) and distances (M,) from the plane."""
         at = np.clip(np.round(to_pixels(x, y, DISC_PIXELS)), 0, DISC_PIXELS - 1).astype(int)
         out = np.where(distance <= self.until[at[0], at[1]], Kind.THING, Kind.INSIDE).astype(np.uint8)
-        out[self.sheets.read(x, y)[:, 0] > LEAST_SHEET] = Kind.STRUCTURE
+        out[read_map(self.sheets, x, y) > LEAST_SHEET] = Kind.STRUCTURE
         out[np.hypot(x, y) > 1 - self.rind] = Kind.RIND
         return out
 

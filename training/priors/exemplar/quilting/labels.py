@@ -17,6 +17,7 @@ from training.priors.exemplar.quilting.disc import (
     even_sides,
     filled_in,
     halo,
+    read_map,
     ring_medians,
     smooth_disc,
 )
@@ -31,7 +32,7 @@ from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.sampling import lengths
 from training.priors.exemplar.strata import beside_own
 
-__all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs"]
+__all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs", "read_maps"]
 
 FINE_RINGS, LARGEST = 64, 0.16
 """Number of rings from whose median colours things stand out, and the largest half width of things in radii."""
@@ -61,14 +62,14 @@ class Source:
     """Parts of `even`."""
     relief: Relief
     """Relief of the things in `parts`."""
-    closed: Disc
-    """How far closed things stand out, the same in all three channels."""
+    closed: NDArray[np.float32]
+    """(P, P). How far closed things stand out."""
     blurred: Disc
     tones: Disc
     """Tones of `even` without closed things: those of what is left where they end."""
     persistence: Persistence
-    sheets: Disc
-    """How surely each place shows a sheet, the same in all three channels; 0 for radial pictures."""
+    sheets: NDArray[np.float32]
+    """(P, P). How surely each place shows a sheet; 0 for radial pictures."""
     rind: float
     """Depth in radii of the layers along the rim."""
     grains: Grains
@@ -99,7 +100,7 @@ class Source:
             even=even,
             parts=replace(self.parts, things=things),
             relief=relief,
-            closed=Disc(self.closed.rgb * (1 - halo(laid)[..., None])),
+            closed=self.closed * (1 - halo(laid)),
             blurred=smooth_disc(Disc(without(self.disc.rgb)), BLUR),
         )
 
@@ -127,7 +128,7 @@ class Source:
             smooth_disc(disc, BLUR),
             smooth_disc(Disc(filled_in(even.rgb, relief.closed_until(rind) >= 0)), TONE),
             persistence,
-            Disc(np.repeat(sheets[..., None], 3, -1)),
+            sheets,
             rind,
             grains,
             Seeds.of(relief, is_horizontal, rind) if not len(grains.radii) else Seeds.none(),
@@ -142,7 +143,7 @@ class Source:
             return self
         has_core = bool(core.region.any())
         even = _even(self.disc, self.is_horizontal, core.region) if has_core else self.even
-        things = self.seeds.regions | (self.sheets.rgb[..., 0] > FAINT_SHEET) | (core.form[..., 0] > 0)
+        things = self.seeds.regions | (self.sheets > FAINT_SHEET) | (core.form[..., 0] > 0)
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
         if has_core:
@@ -192,7 +193,8 @@ class Label:
 
     def _free(self, places: Places, rows: Rows, source: Source) -> NDArray[np.float32]:
         """(M,). How much of a distance counts: nothing in the rind and in sheets, which run through."""
-        return (1 - places.rind[rows]) * (1 - source.sheets.read(places.x[rows], places.y[rows])[:, 0])
+        free = 1 - places.rind[rows]
+        return free * (1 - read_map(source.sheets, places.x[rows], places.y[rows])) if self.is_horizontal else free
 
     def read_tones(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). The tones of what the places show."""
@@ -237,15 +239,15 @@ class Label:
         return even + np.maximum(share, 0)[:, None] * tones
 
 
-def _closed_things(disc: Disc, persistence: Persistence) -> Disc:
-    """How far the colours of closed things are from those of their ring and of what is around them."""
+def _closed_things(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
+    """(P, P). How far the colours of closed things are from those of their ring and of what is around them."""
     x, y = disc_grid()
     medians = ring_medians(disc, FINE_RINGS)
     at = disc_radius() * FINE_RINGS - 0.5
     ring = np.stack([np.interp(at, np.arange(FINE_RINGS), medians[:, c]) for c in range(3)], -1)
     around = persistence.gone(x.ravel(), y.ravel(), np.full(x.size, LARGEST)).reshape(x.shape)
     stands_out = np.minimum(lengths(disc.rgb - ring), around)
-    return Disc(np.repeat(stands_out[..., None], 3, -1).astype(np.float32))
+    return stands_out.astype(np.float32)
 
 
 def distance_across(labels: list[Label], label: Label, ball: Ball) -> NDArray[np.float32]:
@@ -262,4 +264,13 @@ def read_discs(places: Places, discs: list[Disc]) -> NDArray[np.float32]:
     for n, disc in enumerate(discs):
         rows = places.of(n, discs)
         out[rows] = disc.read(places.x[rows], places.y[rows])
+    return out
+
+
+def read_maps(places: Places, maps: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """(M,). What the places show of these maps (P, P), one for each source."""
+    out = np.empty(len(places.x), np.float32)
+    for n, values in enumerate(maps):
+        rows = places.of(n, maps)
+        out[rows] = read_map(values, places.x[rows], places.y[rows])
     return out

@@ -35,6 +35,7 @@ from training.priors.exemplar.quilting.disc import (
     ALIKE,
     Disc,
     match_light,
+    read_map,
 )
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across
 from training.priors.exemplar.quilting.rinds import Rinds
@@ -376,7 +377,7 @@ def _grain_cover(labels: list[Label], chosen: NDArray[np.int32], read: list[Plac
         for m, source in enumerate(label.sources):
             rows = np.flatnonzero((chosen == n) & (places.picture == m))
             x, y = places.x[rows], places.y[rows]
-            cover[rows] = source.grains.cover_at(x, y) * (1 - source.sheets.read(x, y)[:, 0])
+            cover[rows] = source.grains.cover_at(x, y) * (1 - read_map(source.sheets, x, y))
     return cover
 
 
