@@ -16,7 +16,7 @@ from scipy import ndimage
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.medians import Ranks
 from training.priors.exemplar.pictures import Picture
-from training.priors.exemplar.sampling import blurred, read_bilinear, reduced
+from training.priors.exemplar.sampling import blurred, read_bilinear, reduced, resampled
 
 __all__ = [
     "DISC_PIXELS",
@@ -66,6 +66,9 @@ REDUCTION = 4
 
 MEDIAN_PIXELS = 4
 """Radius in pixels from which a median is taken on a coarser picture: wide medians of a fine picture take seconds."""
+
+ROWS = 8
+"""Rows of a disc whose light is matched at a time."""
 
 ALIKE, NEAR = 0.15, 0.05
 """Standard deviations of the RGB distance, and in the rind of the distance in radii, over which colours are moved
@@ -200,7 +203,7 @@ class Medians:
         if n not in self._ranks:
             self._ranks[n] = Ranks.of(reduced(self._values, n))
         medians = self._ranks[n].medians(across[across > 0] // 2)
-        return medians if n == REDUCTION else _resampled(medians, DISC_PIXELS // REDUCTION, REDUCTION / n)
+        return medians if n == REDUCTION else resampled(medians, DISC_PIXELS // REDUCTION, REDUCTION / n)
 
 
 def halo(hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -230,14 +233,7 @@ def filled_in(values: NDArray[np.float32], hidden: NDArray[np.bool_]) -> NDArray
 
 def enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """(DISC_PIXELS, DISC_PIXELS, C). Values (H / REDUCTION, W / REDUCTION, C), interpolated to all pixels."""
-    return _resampled(values, DISC_PIXELS, 1 / REDUCTION)
-
-
-def _resampled(values: NDArray[np.float32], size: int, step: float) -> NDArray[np.float32]:
-    """(size, size, C). Values at places that are `step` of their pixels apart."""
-    axis = (np.arange(size) + 0.5) * step - 0.5
-    rows, columns = (at.ravel() for at in np.meshgrid(axis, axis, indexing="ij"))
-    return read_bilinear(values, rows, columns).reshape(size, size, -1)
+    return resampled(values, DISC_PIXELS, 1 / REDUCTION)
 
 
 def match_light(disc: Disc, to: Disc) -> Disc:
@@ -251,15 +247,21 @@ def match_light(disc: Disc, to: Disc) -> Disc:
     depth = np.maximum(disc_radius(), RIND_RADIUS)
     rings = np.arange(CORE_RINGS, RINGS)
     middles = np.maximum((rings + 0.5) / RINGS, RIND_RADIUS)
-    unlike = np.stack(
-        [
-            np.square(disc.rgb - colour).sum(-1) / ALIKE**2 + np.square((depth - middle) / NEAR)
-            for colour, middle in zip(colours, middles, strict=True)
-        ]
-    )
-    weights = np.exp((unlike.min(0) - unlike) / 2) * (2 * rings + 1)[:, None, None]  # a ring's area
-    moved = np.tensordot(weights, wanted - colours, (0, 0)) / weights.sum(0)[..., None]
-    return Disc(np.clip(disc.rgb + moved, 0, 1).astype(np.float32))
+    area = (2 * rings + 1)[:, None, None]
+
+    def moved(rows: slice) -> NDArray[np.floating]:
+        unlike = np.stack(
+            [
+                np.square(disc.rgb[rows] - colour).sum(-1) / ALIKE**2 + np.square((depth[rows] - middle) / NEAR)
+                for colour, middle in zip(colours, middles, strict=True)
+            ]
+        )
+        weights = np.exp((unlike.min(0) - unlike) / 2) * area
+        return np.tensordot(weights, wanted - colours, (0, 0)) / weights.sum(0)[..., None]
+
+    # By some rows at a time: the weights of all pixels do not fit in the cache.
+    all_moved = np.concatenate([moved(slice(n, n + ROWS)) for n in range(0, DISC_PIXELS, ROWS)])
+    return Disc(np.clip(disc.rgb + all_moved, 0, 1).astype(np.float32))
 
 
 def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True) -> NDArray[np.float32]:

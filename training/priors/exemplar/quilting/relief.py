@@ -29,7 +29,7 @@ from training.priors.exemplar.quilting.disc import (
     filled_in,
     to_pixels,
 )
-from training.priors.exemplar.sampling import lengths, reduced
+from training.priors.exemplar.sampling import lengths, opened, reduced
 
 __all__ = ["NARROWEST", "THING_CONTRAST", "TYPICAL", "Relief"]
 
@@ -123,8 +123,7 @@ class Relief:
         heights = np.moveaxis(self.heights, -1, 0)
         until = np.where((apart > least[:, None, None]) & (heights < CLOSED), heights, -1).max(0)
         pixels = round(NARROWEST / PIXEL)
-        y, x = np.ogrid[-pixels : pixels + 1, -pixels : pixels + 1]
-        parts, _ = ndimage.label(ndimage.binary_opening(until > 0, x * x + y * y <= pixels * pixels))
+        parts, _ = ndimage.label(opened(until > 0, pixels))
         held = np.bincount(parts[radius > 1 - rind], minlength=parts.max() + 1) == 0
         return np.where((parts > 0) & held[parts], until, -1)
 

@@ -16,7 +16,7 @@ from scipy import ndimage
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, Disc, disc_grid, disc_radius, to_pixels
 from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST, TYPICAL
 from training.priors.exemplar.rind import FLESH
-from training.priors.exemplar.sampling import blurred, lengths, read_bilinear
+from training.priors.exemplar.sampling import blurred, lengths, opened, read_bilinear
 
 __all__ = ["CORE", "Core"]
 
@@ -90,7 +90,7 @@ class Core:
         disc of its area is wide.
         """
         radius, contrast = disc_radius(), _contrast(disc)
-        parts, _ = ndimage.label(ndimage.binary_opening(contrast >= 1))
+        parts, _ = ndimage.label(opened(contrast >= 1))
         found = (parts > 0) & np.isin(parts, parts[radius < CORE])
         if not found.any() or (found & (radius > 1 - rind)).any():
             return cls.none()

@@ -19,6 +19,7 @@ from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, REACH, Di
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.things.core import CORE
 from training.priors.exemplar.quilting.things.stamps import Things
+from training.priors.exemplar.sampling import opened
 
 __all__ = ["Seeds"]
 
@@ -73,7 +74,7 @@ class Seeds:
         left, found = contrast, np.zeros(radius.shape, np.int32)
         roots = None
         for level in range(LEVELS):
-            regions, _ = ndimage.label(ndimage.binary_opening(left >= RAISED**level))
+            regions, _ = ndimage.label(opened(left >= RAISED**level))
             roots = regions if roots is None else roots
             left = left.copy()
             for region in regionprops(regions):
