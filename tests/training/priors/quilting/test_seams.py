@@ -1,0 +1,58 @@
+"""A sweep over labels, against the same written plainly."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from engine.threads import cores, use_cores
+from training.priors.exemplar.quilting.seams import NO_SEAM, improve_labels
+
+NEIGHBOURS = [
+    *((step * np.eye(3, dtype=int)[axis], 1.0) for axis in range(3) for step in (-1, 1)),
+    *((np.array(corner), 0.5) for corner in itertools.product((-1, 1), repeat=3)),
+]
+"""Steps to the cells that a cell shares seams with, and how much each counts."""
+
+
+def test_each_cell_gets_its_cheapest_label() -> None:
+    rng = np.random.default_rng(0)
+    inside = rng.random((9, 8, 7)) < 0.8
+    number = np.where(inside, np.cumsum(inside).reshape(inside.shape) - 1, -1).astype(np.int32)
+    cells, weight = np.argwhere(inside).astype(np.int32), 0.4
+    colours = rng.random((len(cells), 5, 3)).astype(np.float32)
+    costs = rng.random((len(cells), 5)).astype(np.float32)
+    costs[:, 3] = costs[:, 1]  # of labels that cost the same, the first is chosen
+    colours[:, 3] = colours[:, 1]
+    found = costs.argmin(1).astype(np.int32)
+    wanted = found.copy()
+    improve_labels(found, number, cells, colours, costs, weight)
+    row = {tuple(cell): n for n, cell in enumerate(cells)}
+    order = sorted(range(len(cells)), key=lambda n: tuple(cells[n, ::-1] & 1))
+    for n in order:
+        energy = costs[n].astype(np.float64)
+        for step, share in NEIGHBOURS:
+            m = row.get(tuple(cells[n] + step))
+            if m is None:
+                continue
+            apart = sum(np.linalg.norm(c - c[wanted[m]], axis=1) for c in colours[[n, m]].astype(np.float64))
+            energy += weight * share * (apart + NO_SEAM) * (np.arange(5) != wanted[m])
+        wanted[n] = energy.argmin()
+    assert np.array_equal(found, wanted)
+    assert (found != costs.argmin(1)).mean() > 0.1
+
+
+def test_any_number_of_threads_gives_the_same() -> None:
+    rng = np.random.default_rng(1)
+    number = np.arange(20**3, dtype=np.int32).reshape(20, 20, 20)
+    cells = np.argwhere(number >= 0).astype(np.int32)
+    colours, costs = rng.random((len(cells), 4, 3), np.float32), rng.random((len(cells), 4), np.float32)
+    found, before = [], cores()
+    for count in (1, 3):
+        use_cores(count)
+        labels = costs.argmin(1).astype(np.int32)
+        improve_labels(labels, number, cells, colours, costs, 0.5)
+        found.append(labels)
+    use_cores(before)
+    assert np.array_equal(*found)
