@@ -20,6 +20,7 @@ import training.settings
 from benchmarks.support.charts import front
 from engine.errors import InputError
 from sample_scenes.solids import directions
+from sample_scenes.solids.bread import bread as bread_of
 from tests.helpers.tiny_diffusion import save_tokenizer
 from tests.paths import SHARED
 from training.batch.grid import Outcome
@@ -87,6 +88,9 @@ def test_cuts_are_the_same_for_everybody_and_meet_the_solid(bread, cuts, tmp_pat
     assert not truth.inside[:, [0, -1]].any()
     kept = load_truth(bread.solid, cuts, tmp_path / "truth.safetensors")
     assert (kept.pictures == truth.pictures).all()
+    # Truth of another solid of the kind is not taken for this one's, though there are as many pictures.
+    other = load_truth(bread_of(5), cuts, tmp_path / "truth.safetensors")
+    assert (other.pictures != truth.pictures).any()
     # A picture of world positions agrees with itself, up to its change within a pixel.
     places = np.stack([0.5 + 0.3 * np.sin(2 * cut.points) for cut in cuts]).astype(np.float32)
     everywhere = Truth(places, truth.inside)

@@ -203,12 +203,13 @@ def clip_prompt(kind: str, thing: str) -> str:
 
 
 def truth_features(truth: Truth, of: Callable[[Sequence[Float]], Features], path: Path) -> Features:
-    """Features of the true pictures, cached for the other methods."""
-    if path.is_file() and len(features := load_file(path)["features"]) == len(truth.pictures):
-        return features
+    """Features of the true pictures, cached in a file for the other methods; the file says of which pictures."""
+    digest = np.frombuffer(hashlib.blake2b(truth.pictures.tobytes()).digest(), np.uint8)
+    if path.is_file() and np.array_equal((kept := load_file(path)).get("pictures", []), digest):
+        return kept["features"]
     features = of(list(truth.pictures))
     with atomic(path) as temporary:
-        save_file({"features": features}, temporary)
+        save_file({"features": features, "pictures": digest}, temporary)
     return features
 
 
