@@ -113,6 +113,23 @@ def of_methods() -> list[str]:
     return lines
 
 
+def of_seeds() -> list[str]:
+    """Many cuts of each scene, pictures of others first: means of the seeds and their standard deviation."""
+    results = chart("evaluation_seeds")["results"]
+    scenes: dict[str, list[dict[str, Any]]] = {}
+    for name, facts in results.items():
+        scenes.setdefault(name.split("/")[0], []).append(facts)
+    lines = []
+    for scene, seeds in scenes.items():
+        cells = [scene.replace("_", " of ")]
+        for key, digits in (("psnr_db", 1), ("patch_ratio", 1), ("sharpness", 2), ("fid_random", 0), ("fid_canonical", 0)):
+            found = [f[key] for f in seeds]
+            known = None not in found
+            cells.append(f"{np.mean(found):.{digits}f} ± {np.std(found):.{digits}f}" if known else "not known")
+        lines.append(row(*cells))
+    return lines
+
+
 def of_faces() -> list[str]:
     """Faces read from the inside beside faces of atoms."""
     scenes = chart("face_detail")["scenes"]
@@ -130,6 +147,7 @@ TABLES: tuple[Callable[[], list[str]], ...] = (
     of_photographs,
     of_captures,
     of_others,
+    of_seeds,
     of_faces,
     of_samples,
     of_methods,

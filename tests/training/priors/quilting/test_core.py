@@ -11,9 +11,10 @@ from skimage.measure import label, regionprops
 
 from tests.helpers.exemplar_faces import photograph
 from training.priors.exemplar.quilting import quilt
-from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, match_light
+from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, even_around, even_sides, match_light
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
+from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.things.core import MARGIN, Core
 
 FLESH, DARK, RIND = np.array([0.9, 0.8, 0.6]), np.array([0.2, 0.1, 0.05]), np.array([0.7, 0.2, 0.2])
@@ -44,9 +45,9 @@ def pips() -> NDArray[np.bool_]:
     return np.hypot((np.abs(x) - 0.12) / 0.05, y / TALL) < 1
 
 
-def core_of(source: Source, *radial: Disc) -> Core:
+def core_of(disc: Disc, *radial: Disc) -> Core:
     """The core of a horizontal picture, with what radial ones show of it."""
-    return Core.across(source.even, source.rind, [Source.of(disc, False).even for disc in radial], 0.0)
+    return Core.across(even_around(disc), rind_of(disc, True)[0], [even_sides(one) for one in radial], 0.0)
 
 
 def test_pictures_are_looked_at_in_threads_so_no_warning_of_the_process_is_hidden(
@@ -59,14 +60,14 @@ def test_pictures_are_looked_at_in_threads_so_no_warning_of_the_process_is_hidde
 
     with monkeypatch.context() as patch:
         patch.setattr("warnings.catch_warnings", refuse)
-        source = Source.of(face(star()), True)
-        assert source.with_core(core_of(source)).core.reach
+        star_shaped = face(star())
+        assert Source.of(star_shaped, True).with_core(core_of(star_shaped)).core.reach
 
 
 def test_a_core_is_as_tall_as_its_area_is_wide_or_has_the_proportions_of_radial_pictures() -> None:
     x, y = disc_grid()
     half = 0.13
-    disc = Source.of(face(np.hypot(x, y) < half), True)
+    disc = face(np.hypot(x, y) < half)
     alone = core_of(disc)
     assert alone.reach == pytest.approx(half + MARGIN, abs=0.01)
     assert alone.tall == pytest.approx((half, half), rel=0.05)
@@ -79,7 +80,7 @@ def test_a_core_is_as_tall_as_its_area_is_wide_or_has_the_proportions_of_radial_
 def test_what_is_taller_than_wide_in_radial_pictures_is_a_column() -> None:
     x, y = disc_grid()
     column = face((np.abs(x) < 0.1) & (np.abs(y) < 0.7))
-    disc = Source.of(face(np.hypot(x, y) < 0.12), True)
+    disc = face(np.hypot(x, y) < 0.12)
     assert core_of(disc).reach > 0
     assert core_of(disc, column).reach == 0
 
@@ -87,13 +88,13 @@ def test_what_is_taller_than_wide_in_radial_pictures_is_a_column() -> None:
 def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() -> None:
     x, y = disc_grid()
     for dark in (np.abs(y) < 0.04, np.hypot(x - 0.4, y) < 0.08, np.zeros(x.shape, bool)):
-        assert core_of(Source.of(face(dark), True)).reach == 0
+        assert core_of(face(dark)).reach == 0
 
 
 def test_a_radial_picture_shows_solids_as_thick_as_they_are_wide() -> None:
     """Cut parallel to its picture's plane, a pip shows the ellipse that a spheroid has at that distance."""
     shown = face(pips())
-    core = Core.along(Source.of(shown, False).even, core_of(Source.of(face(star()), True), shown), 0.0)
+    core = Core.along(even_sides(shown), core_of(face(star()), shown), 0.0)
     x, y = (a[::4, ::4].ravel() for a in disc_grid())
     near = np.hypot(x, y) < 0.4
     x, y = x[near], y[near]
@@ -194,4 +195,4 @@ def test_a_long_core_keeps_its_colour_in_the_light_of_another_picture() -> None:
     [("apple_h1", 0.25, 0.45), ("apple_h2", 0.25, 0.45), ("watermelon_h8", 0, 0)],
 )
 def test_of_photographs_stars_are_cores(name: str, least: float, most: float) -> None:
-    assert least <= core_of(Source.of(photograph(name), True)).reach <= most
+    assert least <= core_of(photograph(name)).reach <= most

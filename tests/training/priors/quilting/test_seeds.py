@@ -9,9 +9,12 @@ from scipy import ndimage
 
 from tests.helpers.exemplar_faces import photograph
 from training.priors.exemplar.quilting import quilt
-from training.priors.exemplar.quilting.disc import Disc, disc_grid
+from training.priors.exemplar.quilting.disc import Disc, disc_grid, even_around, even_sides
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
+from training.priors.exemplar.quilting.relief import Relief
+from training.priors.exemplar.quilting.rinds import rind_of
+from training.priors.exemplar.quilting.texture import FINE, take_apart
 from training.priors.exemplar.quilting.things.candidates import in_own_planes, strewn
 from training.priors.exemplar.quilting.things.packing import pack
 from training.priors.exemplar.quilting.things.seeds import Seeds
@@ -42,7 +45,10 @@ def around(count: int, radius: float = RING) -> list[tuple[float, float, float]]
 
 
 def found(disc: Disc, is_horizontal: bool = True) -> Seeds:
-    return Source.of(disc, is_horizontal).seeds
+    """The seeds of a face, of which nothing else is looked for."""
+    rind = rind_of(disc, is_horizontal)[0]
+    parts = take_apart(even_around(disc) if is_horizontal else even_sides(disc), FINE)
+    return Seeds.of(Relief.of(parts.things, parts.strength, rind), is_horizontal, rind)
 
 
 def test_drawn_seeds_are_found_as_they_lie() -> None:
