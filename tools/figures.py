@@ -122,7 +122,13 @@ def of_seeds() -> list[str]:
     lines = []
     for scene, seeds in scenes.items():
         cells = [scene.replace("_", " of ")]
-        for key, digits in (("psnr_db", 1), ("patch_ratio", 1), ("sharpness", 2), ("fid_random", 0), ("fid_canonical", 0)):
+        for key, digits in (
+            ("psnr_db", 1),
+            ("patch_ratio", 1),
+            ("sharpness", 2),
+            ("fid_random", 0),
+            ("fid_canonical", 0),
+        ):
             found = [f[key] for f in seeds]
             known = None not in found
             cells.append(f"{np.mean(found):.{digits}f} ± {np.std(found):.{digits}f}" if known else "not known")

@@ -21,6 +21,7 @@ from engine.errors import InputError
 
 __all__ = [
     "WRITE_ERRORS",
+    "ZIP_TIME",
     "LineWriter",
     "atomic",
     "atomic_together",
@@ -38,6 +39,9 @@ LEFTOVER = re.compile(r"\..+\.[a-z0-9_]{8}(\.\w+)?|\.tmp[A-Za-z0-9]{6}")
 
 WRITE_ERRORS = (OSError, SafetensorError)
 """Errors of writing: the system's, which Pillow, numpy and plyfile pass on, and those of safetensors."""
+
+ZIP_TIME = (1980, 1, 1, 0, 0, 0)
+"""Time stamp of every file in an archive, so that the same contents give the same bytes."""
 
 PATIENCE = 5.0
 """Seconds to wait for a folder's lock: a killed process may hold it until its memory is freed."""

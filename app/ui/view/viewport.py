@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Key
 from app.model.knife import SHORTEST, Stroke, plane_of
+from app.model.marking import SURFACE_OPACITY
 from app.model.pieces import Member, PlacedPiece
 from app.model.rigid_transform import STILL, Motion
 from app.model.upright import point_under
@@ -54,9 +55,6 @@ CUTTING = {
     "plane": _("release to place    Shift: snap"),
 }
 """What releasing the button does, by the kind of drag that draws a stroke."""
-
-SOLID_OPACITY = 0.3
-"""Opacity above which a Gaussian of the capture can be pointed at; below, it is haze."""
 
 
 @dataclass
@@ -390,7 +388,7 @@ class Viewport:
             return
         motion = STILL
         if session.mode == "capture":
-            opaque = shown.capture.opacities > SOLID_OPACITY
+            opaque = shown.capture.opacities > SURFACE_OPACITY
             point = point_under(shown.capture.means[opaque], camera, at)
         else:
             member, point = self._pick(at)

@@ -19,7 +19,7 @@ from PIL import Image
 
 from engine.errors import InputError
 from engine.export.voxels import Voxels, coarsened
-from engine.io.files import atomic, atomic_together
+from engine.io.files import ZIP_TIME, atomic, atomic_together
 from engine.io.scratch import atomic_folder
 from engine.scene.inside import KIND_NAMES
 from engine.scene.moved import Z_UP, upright
@@ -43,9 +43,6 @@ PACKING = 6
 
 KIND_COLOURS = ((0, 0, 0), (230, 120, 90), (240, 220, 120), (90, 60, 40), (120, 170, 220))
 """Colours of the labels, by `Kind`."""
-
-WHEN = (1980, 1, 1, 0, 0, 0)
-"""Time stamp of every file in the archive, so that the same voxels give the same bytes."""
 
 
 def _save_nifti(path: Path, voxels: Voxels, affine: NDArray[np.float64]) -> list[Path]:
@@ -158,8 +155,8 @@ def _save_stack(path: Path, voxels: Voxels, affine: NDArray[np.float64]) -> list
             rgba = np.concatenate([voxels.rgb[:, :, z], alpha[:, :, z, None]], axis=-1)
             out = io.BytesIO()
             Image.fromarray(np.ascontiguousarray(rgba.transpose(1, 0, 2)[::-1])).save(out, "PNG", dpi=(dpi, dpi))
-            archive.writestr(zipfile.ZipInfo(f"layer_{z:05d}.png", WHEN), out.getvalue())
-        archive.writestr(zipfile.ZipInfo("stack.json", WHEN), json.dumps(note, indent=1) + "\n")
+            archive.writestr(zipfile.ZipInfo(f"layer_{z:05d}.png", ZIP_TIME), out.getvalue())
+        archive.writestr(zipfile.ZipInfo("stack.json", ZIP_TIME), json.dumps(note, indent=1) + "\n")
     return [path]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from engine.io.files import atomic
+from engine.io.files import ZIP_TIME, atomic
 from engine.io.splats.sog import BANDS, LARGEST_AT, META, PALETTE_COLUMNS
 from engine.io.writers.provenance import Provenance
 from engine.scene.gaussians import Gaussians
@@ -30,9 +30,6 @@ BOOK_ROUNDS = 20
 BOOK_SAMPLE = 1 << 20
 """Numbers that a codebook is made from."""
 
-WHEN = (1980, 1, 1, 0, 0, 0)
-"""Time stamp of every file in the archive, so that the same Gaussians give the same bytes."""
-
 Bytes = NDArray[np.uint8]
 
 
@@ -45,7 +42,7 @@ def write_sog(path: Path, gaussians: Gaussians, about: Provenance) -> None:
     files = _files(gaussians[morton_order(gaussians.means)], about)
     with atomic(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files.items():
-            archive.writestr(zipfile.ZipInfo(name, WHEN), data)
+            archive.writestr(zipfile.ZipInfo(name, ZIP_TIME), data)
 
 
 def _files(g: Gaussians, about: Provenance) -> dict[str, bytes]:

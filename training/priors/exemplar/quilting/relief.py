@@ -31,7 +31,7 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.sampling import lengths, opened, reduced
 
-__all__ = ["NARROWEST", "THING_CONTRAST", "TYPICAL", "Relief"]
+__all__ = ["BLEND", "NARROWEST", "THING_CONTRAST", "TYPICAL", "Relief"]
 
 WIDTHS = (0.05, 0.12, 0.22)
 """Radii of the medians to which the colours of a picture give way, one after the other, in radii of the disc: for
@@ -76,8 +76,8 @@ NARROWEST = 0.01
 """Least half width of a thing in radii: anything narrower is texture. The cores of eight photographs have 0.06 and
 more, a speck at the axis of a melon 0.009."""
 
-EDGE = np.float32(0.006)
-"""Distance over which a colour gives way to the next: a pixel and a half of the disc."""
+BLEND = np.float32(0.006)
+"""Distance in radii over which a colour gives way to the next: a pixel and a half of the disc."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def _read_relief(
             if n < count:
                 low = heights[i, j, n] + b * (heights[i, j + 1, n] - heights[i, j, n])
                 high = heights[i + 1, j, n] + b * (heights[i + 1, j + 1, n] - heights[i + 1, j, n])
-                t = (low + a * (high - low) - distance[m]) / EDGE + np.float32(0.5)
+                t = (low + a * (high - low) - distance[m]) / BLEND + np.float32(0.5)
                 t = min(max(t, np.float32(0)), np.float32(1))
                 share = rest * t
             if share > 0:

@@ -18,7 +18,7 @@ from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST, 
 from training.priors.exemplar.rind import FLESH
 from training.priors.exemplar.sampling import blurred, lengths, opened, read_bilinear
 
-__all__ = ["CORE", "Core"]
+__all__ = ["AXIS", "CORE", "Core"]
 
 CORE = 0.12
 """Radius of the area around the axis. A region that reaches into it is part of the core, with all that is in it."""
@@ -56,7 +56,8 @@ MARGIN = 0.03
 """Radii around a core in which nothing but its picture is shown, so that no seam passes along its edge."""
 
 AXIS = 0.12
-"""Distance from a ridge, over that of the edge, within which directions fade: on the ridge itself there is none."""
+"""Distance from a ridge, over that of the edge, within which directions fade: on the ridge itself there is none. The
+ridge of a seed or a grain is the line through its middle across its picture's plane."""
 
 
 @dataclass(frozen=True)

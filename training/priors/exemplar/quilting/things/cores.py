@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 
 from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball, OwnHeight
 from training.priors.exemplar.quilting.labels import Label, Source
+from training.priors.exemplar.quilting.relief import BLEND
 
 __all__ = ["Cores"]
 
 ALONE = 0.015
 """Distance in radii from a picture's own plane within which other pictures' cores fade: the plane shows its picture."""
-
-
-SOFT = 0.006
-"""Distance in radii over which a core blends into its surroundings, as the colours of a relief do."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,7 @@ class Cores:
 
 def _passed(depth: NDArray[np.floating]) -> NDArray[np.floating]:
     """Rises from 0 outside of a core's surface to 1 inside, by the depth in radii."""
-    return np.clip(depth / SOFT + 0.5, 0, 1)
+    return np.clip(depth / BLEND + 0.5, 0, 1)
 
 
 def _seen(away: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -16,7 +16,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from engine.threads import for_spans
+from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.things.candidates import CANDIDATES, Candidates
+from training.priors.exemplar.quilting.things.core import AXIS
 from training.priors.exemplar.quilting.things.stamps import EXTENT, STAMP_PIXELS, Things
 
 __all__ = ["NEAR", "REACHES", "Packing", "pack"]
@@ -30,13 +32,6 @@ REACHES = 1.15
 
 MIXED_SIZES = 0.7
 """Grains are laid from large to small, by their radius times a random number from this to 1: small ones fill gaps."""
-
-AXIS = 0.12
-"""Distance in half axes from the line across its picture's plane within which directions fade: on the line itself there
-is none."""
-
-EDGE = 0.006
-"""Distance in radii over which two things blend, as a relief's colours do."""
 
 LATTICE = 1.3
 """Half a side of the lattice in which things are looked up, in radii: the body and a thing's reach."""
@@ -200,14 +195,14 @@ def _read(
                 apart += d * d
             # Half of the difference of powers over the distance of the middles is the distance from the border.
             beyond = (most - next_most) / (np.float32(2) * max(np.sqrt(apart), np.float32(1e-4)))
-            share = np.float32(0.5) + np.float32(0.5) * min(beyond / np.float32(EDGE), one)
+            share = np.float32(0.5) + np.float32(0.5) * min(beyond / BLEND, one)
         _show(points, m, middles, axes, long, short, a, which, are_close[a], stamps, share, out)
         if b >= 0:
             _show(points, m, middles, axes, long, short, b, which, are_close[b], stamps, one - out[m, 3], out)
         if are_close[a]:
             half = axes[a, 1]
             away = np.sqrt(max(half * half - most, np.float32(0)))
-            fade = min(max((half * np.float32(REACHES) - away) / np.float32(EDGE), np.float32(0)), one)
+            fade = min(max((half * np.float32(REACHES) - away) / BLEND, np.float32(0)), one)
             for c in range(4):
                 out[m, c] *= fade
 
