@@ -147,8 +147,7 @@ class Stage:
         if now - self.last < 0.1 and part < 1 and not facts:
             return
         self.last = now
-        eta = (now - self.begin) * (1 - part) / part if part > 0 else None
-        self.reporter.emit("progress", stage=self.name, part=round(part, 4), eta=eta, **facts)
+        self.reporter.emit("progress", stage=self.name, part=round(part, 4), **facts)
 
 
 def to_json(value: Any) -> Any:

@@ -13,6 +13,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -113,6 +114,8 @@ class Job:
     """Whether the process has ended."""
     offset: int = 0
     """Number of bytes of the events file that have been read."""
+    suspended: float | None = None
+    """When this session suspended the process, by the clock that never goes back; None while it runs."""
 
     @staticmethod
     def start(document: Document, up: Vec3, out: Path, resume: bool = False, program: Sequence[str] = ()) -> Job:
@@ -212,9 +215,13 @@ class Job:
     def pause(self) -> None:
         """Suspends the process. It stays in memory, so a pause does not survive a restart of the computer."""
         self._signal(lambda process: process.suspend())
+        self.suspended = time.monotonic()
 
     def unpause(self) -> None:
         """Lets a suspended process run again."""
+        if self.suspended is not None:
+            self.progress.paused += time.monotonic() - self.suspended
+            self.suspended = None
         self._signal(lambda process: process.resume())
 
     def stop(self) -> None:

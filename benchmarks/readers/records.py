@@ -164,7 +164,7 @@ NOTE = {"pid": 1, "started": 1.5, "stopped": False}
 EVENTS = [
     {"event": "started", "seconds": 0.1, "host": "h", "pid": 1},
     {"event": "stage", "seconds": 0.2, "stage": "train", "title": "Training"},
-    {"event": "progress", "seconds": 1.5, "stage": "train", "part": 0.5, "eta": 3.0, "iteration": 4, "iterations": 9,
+    {"event": "progress", "seconds": 1.5, "stage": "train", "part": 0.5, "iteration": 4, "iterations": 9,
      "losses": {"section": 0.1, "surface": 0.2}},
     {"event": "previews", "seconds": 2.0, "paths": ["a.png", "b.png"]},
     {"event": "warning", "seconds": 2.5, "message": "m"},

@@ -290,7 +290,7 @@ def check_manifest(data: bytes, folder: Path) -> bool:
 
 # events that the trainer sends to the window
 
-EVENT = {"event": "progress", "seconds": 1.5, "stage": "train", "part": 0.5, "eta": 3.0, "iteration": 4,
+EVENT = {"event": "progress", "seconds": 1.5, "stage": "train", "part": 0.5, "iteration": 4,
          "iterations": 9, "losses": {"section": 0.1, "surface": 0.2}, "paths": ["a"], "message": "m", "scene": "s",
          "report": "r"}  # fmt: skip
 

@@ -19,7 +19,7 @@ from PIL import Image
 from safetensors.numpy import save_file
 
 from app import translation
-from app.jobs.job_events import Progress, read_line
+from app.jobs.job_events import STAGE_WEIGHTS, Progress, read_line
 from app.jobs.live_colours import LiveColours
 from app.jobs.results import default_out
 from app.jobs.training_job import Job, note_path, request_for, request_path
@@ -337,6 +337,32 @@ def test_stages_are_named_in_the_language_of_the_window(monkeypatch: pytest.Monk
         assert progress.title == title.upper() != title
     read_line(progress, b'{"event": "stage", "stage": ""}')
     assert progress.title == ""
+
+
+def test_the_time_left_is_that_of_what_is_left(tmp_path: Path) -> None:
+    """Each stage takes twice its share of a hundred seconds; some tell nothing but that they have begun."""
+
+    def tell(progress: Progress, seconds: float, stage: str, part: float | None = None) -> None:
+        event = {"event": "stage"} if part is None else {"event": "progress", "part": part}
+        read_line(progress, json.dumps(event | {"seconds": seconds, "stage": stage}).encode())
+
+    progress, gone = Progress(tmp_path), 0.0
+    for stage, share in STAGE_WEIGHTS.items():
+        tell(progress, gone, stage)
+        if gone >= 10:
+            assert progress.remaining == pytest.approx(200 - gone)
+        if stage in ("labels", "train"):
+            tell(progress, gone + 100 * share, stage, 0.5)
+            assert progress.remaining == pytest.approx(200 - gone - 100 * share)
+        gone += 200 * share
+    # What goes on with an earlier run tells nothing until it has come as far, and a pause is no work.
+    again = progress.resumed()
+    again.fraction = again.begun = 0.5
+    tell(again, 3, "labels")
+    assert again.remaining is None
+    again.paused = 500
+    tell(again, 510, "train")
+    assert again.remaining == pytest.approx(10 * (1 - again.fraction) / (again.fraction - 0.5))
 
 
 def test_events_name_no_file_elsewhere_and_say_plain_words(tmp_path: Path) -> None:

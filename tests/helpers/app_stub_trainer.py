@@ -35,7 +35,7 @@ def main() -> None:
             sys.exit(143)
         losses = {"section": 1 / (index + 1), "surface": 0.5}
         emit(
-            "progress", stage="train", part=(index + 1) / steps, eta=0.1, iteration=index + 1, iterations=steps,
+            "progress", stage="train", part=(index + 1) / steps, iteration=index + 1, iterations=steps,
             losses=losses,
         )  # fmt: skip
         if "--die" in words and index == 2 and not first:
