@@ -12,7 +12,7 @@ from engine.scene.atoms import Atoms
 from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane, frame
 
-__all__ = ["body_of_atoms", "body_of_shell", "clipped_lines", "contours", "wires"]
+__all__ = ["WIRES", "body_of_atoms", "body_of_shell", "clipped_lines", "contours", "wires"]
 
 Float = NDArray[np.float64]
 
@@ -27,8 +27,8 @@ edge."""
 SHELL_CELLS = 48
 """The same as CELLS for a capture, which has only a skin: coarser, so that gaps in it are at most four cells wide."""
 
-WIRES = 30
-"""Quadrangles along the longest side of the net of `wires`: few enough to look through."""
+WIRES = 24
+"""Meshes along the longest side of the net of `wires`: few enough to look through."""
 
 # Marching squares: the segments for each pattern of corners inside the body (bits 1, 2, 4, 8 around a cell), from one
 # edge to another; edge i goes from corner i to the next. Diagonally opposite corners count as separate.
@@ -40,12 +40,16 @@ EDGES = np.array([ONE, TWO]).transpose(1, 0, 2)
 
 def body_of_atoms(atoms: Atoms) -> Body:
     """The solid that atoms fill, on a grid coarse enough to be built while the user waits; exact to a fraction."""
-    means = atoms.interior.means.astype(np.float64) if len(atoms.interior) else atoms.surface.means.astype(np.float64)
+    means, spacing = atoms.interior.means.astype(np.float64), 2 * atoms.interior.sigmas.astype(np.float64)
+    if not len(means):
+        means = atoms.surface.means.astype(np.float64)
+        spacing = np.full(len(means), atoms.pitch)
     cell = max(float(np.ptp(means, axis=0).max()) / CELLS, atoms.pitch) if len(means) else 1.0
-    counts, origin = _counted(means, cell)
-    filled = ndimage.gaussian_filter(counts, BLUR, mode="constant") * (atoms.pitch / cell) ** 3
-    # The skin is where the density has fallen to one half. Depths need to be right only near it.
-    return Body(Grid(origin, cell, counts.shape), ((filled - 0.5) * 2.5 * BLUR * cell).astype(np.float32))
+    volumes, origin = _gathered(means, spacing**3, cell)
+    filled = ndimage.gaussian_filter(volumes, BLUR, mode="constant") / cell**3
+    # The skin is where half is filled. Depths need to be right only near it.
+    depth = (filled - 0.5) * 2.5 * BLUR * cell
+    return Body(Grid(origin, cell, volumes.shape), depth.astype(np.float32))
 
 
 def body_of_shell(points: NDArray[np.floating]) -> Body:
@@ -70,17 +74,18 @@ def _around(points: NDArray[np.floating], cell: float) -> tuple[Float, tuple[int
     return origin, (x, y, z)
 
 
-def _counted(points: Float, cell: float) -> tuple[NDArray[np.float32], Float]:
-    """Points per cell, each point spread linearly over the nearest eight; and the outer corner (3,) of the grid."""
+def _gathered(points: Float, volumes: Float, cell: float) -> tuple[NDArray[np.float32], Float]:
+    """The volumes (N,) of points (N, 3) in each cell, each spread linearly over the nearest eight; and the outer corner
+    (3,) of the grid."""
     origin, shape = _around(points, cell)
     place = (points - origin) / cell - 0.5
     first = np.floor(place).astype(np.int64)
     part = place - first
-    counts = np.zeros(int(np.prod(shape)))
+    total = np.zeros(int(np.prod(shape)))
     for corner in np.ndindex(2, 2, 2):
-        weight = np.where(corner, part, 1 - part).prod(1)
-        counts += np.bincount(np.ravel_multi_index(tuple((first + corner).T), shape), weight, len(counts))
-    return counts.reshape(shape).astype(np.float32), origin
+        weight = np.where(corner, part, 1 - part).prod(1) * volumes
+        total += np.bincount(np.ravel_multi_index(tuple((first + corner).T), shape), weight, len(total))
+    return total.reshape(shape).astype(np.float32), origin
 
 
 def contours(
@@ -131,55 +136,16 @@ def _marched(values: Float) -> Float:
 
 
 def wires(body: Body, outset: float = 0.0) -> Float:
-    """(S, 2, 3). Edges of an even net of quadrangles around a body, `outset` of its cells outside the skin.
-
-    The dual net of a coarse grid (surface nets, Gibson 1998): a corner in each of its cells that the skin crosses,
-    moved onto the skin, and an edge through each side of a cell that the skin crosses.
-    """
+    """(S, 2, 3). An even net around a body, `outset` of its cells outside the skin: contours of level planes along each
+    axis, as evenly spaced."""
     low, high = body.bounds()
-    coarse = body.resampled(max(float((high - low).max()) / WIRES, body.grid.cell))
-    cell, shape = coarse.grid.cell, np.array(coarse.grid.shape)
-    inside = coarse.depth > 0
-    corner = [
-        inside[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k] for i, j, k in np.ndindex(2, 2, 2)
+    step = float((high - low).max()) / WIRES
+    planes = [
+        Plane.through((low + high) / 2 + n * step * np.eye(3)[axis], np.eye(3)[axis])
+        for axis in range(3)
+        for n in range(-(WIRES // 2), WIRES // 2 + 1)
     ]
-    mixed = np.logical_or.reduce(corner) & ~np.logical_and.reduce(corner)
-    cells = np.argwhere(mixed)
-    if not len(cells):
-        return np.zeros((0, 2, 3))
-    points = coarse.grid.origin + (cells + 1.0) * cell  # a cell of the dual grid lies between eight cell centres
-    step = 0.5 * body.grid.cell * np.eye(3)
-    for _ in range(3):
-        slope = (
-            np.stack([body.at(points + s) - body.at(points - s) for s in step], 1).astype(np.float64) / body.grid.cell
-        )
-        length = np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 0.3)
-        away = body.at(points).astype(np.float64)[:, None] + outset * body.grid.cell
-        points = points + np.clip(-away / length, -0.7 * cell, 0.7 * cell) * slope / length
-    number = np.full(mixed.shape, -1)
-    number[mixed] = np.arange(len(cells))
-    edges = []
-    for axis in range(3):
-        # The four cell centres around the side that two neighbours along the axis share.
-        others = [slice(None)] * 3
-        others[axis] = slice(1, -1)
-        layer = inside[tuple(others)]
-        first, second = (a for a in range(3) if a != axis)
-        around = [
-            np.take(
-                np.take(layer, range(i, layer.shape[first] - 1 + i), first),
-                range(j, layer.shape[second] - 1 + j),
-                second,
-            )
-            for i, j in np.ndindex(2, 2)
-        ]
-        crossed = np.logical_or.reduce(around) & ~np.logical_and.reduce(around)
-        here, there = (
-            np.take(number, range(crossed.shape[axis]), axis),
-            np.take(number, range(1, crossed.shape[axis] + 1), axis),
-        )
-        edges.append(np.stack([here[crossed], there[crossed]], 1))
-    return points[np.concatenate(edges)]
+    return contours(body, planes, outset=outset)
 
 
 def clipped_lines(ends: Float, within: Sequence[Sequence[Plane]]) -> Float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.model.outline import body_of_atoms, body_of_shell, clipped_lines, contours, wires
+from app.model.outline import WIRES, body_of_atoms, body_of_shell, clipped_lines, contours, wires
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
@@ -79,14 +79,37 @@ def test_a_skin_alone_is_outlined_from_without() -> None:
     assert not len(contours(body_of_shell(np.zeros((0, 3))), [Plane.of((0, 0, 1), 0.0)]))
 
 
-def test_wires_are_a_closed_net_on_the_skin(ball: Body) -> None:
-    lines = wires(ball)
-    assert np.abs(np.linalg.norm(lines - (0.3, 0.1, -0.2), axis=2) - 1).max() < 0.6 * ball.grid.cell
-    corners = np.unique(np.round(lines.reshape(-1, 3), 7), axis=0)
-    assert len(lines) == 2 * len(corners) - 4  # Euler's formula for quads around a ball
-    assert 1000 < len(lines) < 10_000
-    outset = np.linalg.norm(wires(ball, 0.6) - (0.3, 0.1, -0.2), axis=2)
+def test_wires_are_an_even_net_on_the_skin(ball: Body) -> None:
+    centre = (0.3, 0.1, -0.2)
+    lines = wires(ball) - centre
+    assert np.abs(np.linalg.norm(lines, axis=2) - 1).max() < 0.6 * ball.grid.cell
+    # Circles at even heights along each axis: their lengths add up to three times the ball's disc, over their spacing.
+    assert length(lines) == pytest.approx(3 * np.pi**2 / (2 / WIRES), rel=0.03)
+    _, counts = np.unique(np.round(lines.reshape(-1, 3), 7), axis=0, return_counts=True)
+    assert (counts % 2 == 0).all()  # all of them are closed
+    outset = np.linalg.norm(wires(ball, 0.6) - centre, axis=2)
     assert outset.mean() == pytest.approx(1 + 0.6 * ball.grid.cell, abs=0.3 * ball.grid.cell)
+
+
+def test_spheres_of_every_size_fill_what_they_fill() -> None:
+    """Coarse ones deep inside leave no hollow, and fine ones do not move the outline outwards."""
+    solid, rng = filled(lambda p: np.linalg.norm(p, axis=1) < 1), np.random.default_rng(0)
+    means = solid.interior.means
+    deep = np.linalg.norm(means, axis=1) < 0.5
+    corners = np.stack(np.meshgrid(*3 * [(-0.25, 0.25)]), -1).reshape(-1, 1, 3) * PITCH
+    axis = np.arange(-0.6, 0.6, 2 * PITCH)
+    wide = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), 3).reshape(-1, 3)
+    wide = wide[np.linalg.norm(wide, axis=1) < 0.5]
+    parts = (wide, PITCH), ((means[~deep] + corners).reshape(-1, 3), PITCH / 4)
+    interior = InteriorAtoms(
+        np.concatenate([m for m, _ in parts]).astype(np.float32),
+        np.concatenate([np.full(len(m), s, np.float32) for m, s in parts]),
+        np.ones((sum(len(m) for m, _ in parts), 3), np.float32),
+    )
+    body = body_of_atoms(Atoms(NO_SURFACE, interior, PITCH))
+    normal = rng.standard_normal(3)
+    lines = contours(body, [Plane.through(np.zeros(3), normal / np.linalg.norm(normal))])
+    assert np.abs(np.linalg.norm(lines, axis=2) - 1).max() < 0.6 * body.grid.cell
 
 
 def test_lines_end_where_their_cells_do() -> None:
