@@ -84,7 +84,8 @@ class Atoms:
     surface: SurfaceAtoms
     interior: InteriorAtoms
     pitch: float
-    """Scale cap of the surface atoms and lattice constant of the finest interior atoms, world units. Range (0, inf)."""
+    """Largest scale of surface atoms and, as long as nothing is trained, lattice constant of the finest interior atoms,
+    world units; trained ones may be finer. Range (0, inf)."""
 
     def __len__(self) -> int:
         return len(self.surface) + len(self.interior)
