@@ -15,7 +15,18 @@ from engine.scene.plane import Plane
 from training.cli import parse_axis
 from training.settings import DetailName
 
-__all__ = ["PathLike", "PlaneLike", "Shape", "UpLike", "as_detail", "as_isolation", "as_plane", "as_points", "as_up"]
+__all__ = [
+    "PathLike",
+    "PlaneLike",
+    "Shape",
+    "UpLike",
+    "as_detail",
+    "as_isolation",
+    "as_plane",
+    "as_points",
+    "as_seed",
+    "as_up",
+]
 
 PathLike = str | os.PathLike[str]
 
@@ -57,7 +68,20 @@ def as_up(given: UpLike | None) -> tuple[float, float, float] | None:
     """The up axis as a unit vector; None (to be detected) stays None. Raises InputError for anything else."""
     if given is None:
         return None
-    return parse_axis(given if isinstance(given, str) else ",".join(repr(float(value)) for value in given), "up")
+    if isinstance(given, str):
+        return parse_axis(given, "up")
+    try:
+        text = ",".join(repr(float(value)) for value in given)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"up {given!r}: give x, y, z, -x, -y, -z or three numbers") from error
+    return parse_axis(text, "up")
+
+
+def as_seed(given: int) -> int:
+    """The seed. Raises InputError unless it is a whole number from 0 on."""
+    if isinstance(given, bool) or not isinstance(given, int | np.integer) or given < 0:
+        raise InputError(f"seed {given!r}: give a whole number from 0 on")
+    return int(given)
 
 
 def as_detail(given: str) -> DetailName:

@@ -18,7 +18,7 @@ from engine.isolate.selection import Sphere, isolated, without_surroundings
 from engine.isolate.surroundings import object_ball
 from engine.scene.gaussians import Gaussians
 from engine.solid.up_axis.detect import detect_up
-from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_up
+from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_seed, as_up
 from fruitninja.solid import Solid, Whole
 from training.settings import DETAILS
 
@@ -95,6 +95,7 @@ class Capture:
         from engine.solid.solidify import find_enclosure, solidify
 
         fineness, axis, isolation = DETAILS[as_detail(detail)], as_up(up), as_isolation(keep)
+        seed = as_seed(seed)
         gaussians, _ = isolated(self.gaussians, isolation, self.path.name)
         enclosure = find_enclosure(gaussians, fineness.cells, self.path.name)
         if axis is None:  # detected before isolation: even a floor that is left out shows which way is up
@@ -114,4 +115,4 @@ class Capture:
 def load(path: PathLike, *, seed: int = 0) -> Capture:
     """Reads a capture (.ply, .splat, .spz, .sog, .ksplat, .glb) or a textured mesh (.obj, .glb, .ply, .stl), whose
     surface is sampled with `seed`. Raises Error for any other file."""
-    return Capture(Path(path), load_scene(Path(path), seed))
+    return Capture(Path(path), load_scene(Path(path), as_seed(seed)))

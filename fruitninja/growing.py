@@ -13,7 +13,7 @@ from typing import Any
 from engine.errors import InputError
 from engine.io.files import locked_folder
 from engine.io.trained import load_trained
-from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_up
+from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_seed, as_up
 from fruitninja.capture import Capture
 from fruitninja.solid import Solid, Whole
 from training.cli import parse_families
@@ -66,7 +66,7 @@ def grow(
         parse_families(exemplars, [], []),
         as_detail(detail),
         as_up(up),
-        seed,
+        as_seed(seed),
         isolation=as_isolation(keep),
         same=same,
     )

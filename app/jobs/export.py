@@ -157,13 +157,18 @@ def save_animation(path: Path, frames: Frames, rate: float = RATE) -> int:
         # One palette for all frames, so that still parts do not flicker.
         palette = _palette(images)
         images = [image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for image in images]
+    unit = 10 if suffix == ".gif" else 1  # milliseconds in which a format tells how long a frame is shown
+
+    def frame_end(n: int) -> int:
+        return unit * round(n * 1000 / rate / unit)
+
     with atomic(path) as temporary:
         images[0].save(
             temporary,
             format=suffix[1:].upper(),
             save_all=True,
             append_images=images[1:],
-            duration=round(1000 / rate),
+            duration=[frame_end(n + 1) - frame_end(n) for n in range(len(images))],
             loop=0,
             quality=85,
         )

@@ -105,7 +105,10 @@ def read_line(progress: Progress, line: bytes) -> None:
         return
     if not isinstance(event, dict):
         return
-    progress.seconds = _number(event.get("seconds"), progress.seconds)
+    seconds = _number(event.get("seconds"), progress.seconds)
+    if seconds < progress.seconds:  # a process that goes on where an earlier one was stopped
+        progress.begun, progress.paused, progress.remaining = progress.fraction, 0.0, None
+    progress.seconds = seconds
     kind = event.get("event")
     if kind == "stage" and isinstance(event.get("stage"), str):
         progress.stage = event["stage"]

@@ -263,7 +263,7 @@ class FilmController:
             now = self.clock()
             to, end = self.time + now - self._last, workspace.timeline.seconds
             self._last = now
-            if to >= end and not self._closed:
+            if to >= end and not (self._closed and end > 0):
                 self.playing, to = False, end
             self.seek(to % end if to > end else to)
         elif self.shown and self._for[0] is not workspace.timeline:  # one of its moments has changed

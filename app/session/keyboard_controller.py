@@ -124,7 +124,10 @@ class KeyboardController:
             motion = Motion.by(STEP * workspace.solid.radius * towards)
         else:
             hidden = sections(workspace.document)
-            points = np.concatenate([shown_points(piece, workspace.solid, hidden) for piece in chosen])
+            shown = [shown_points(piece, workspace.solid, hidden) for piece in chosen]
+            points = np.concatenate([np.empty((0, 3)), *shown])
+            if not len(points):  # another cut hides all of them
+                return
             axis = x * (forward if shift else down) * (1 if shift else -1) + y * right
             motion = Motion.about(points.mean(0), axis, -ANGLE * float(np.hypot(x, y)))
         name = _("Move") if workspace.tool == "move" else _("Turn")

@@ -113,7 +113,7 @@ class ProjectFiles:
         if before is None or workspace.loader is not None:
             return
         self._before = None
-        if workspace.object is not None:
+        if workspace.loaded:
             return
         error = workspace.error
         self.scene.forget()

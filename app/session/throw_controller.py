@@ -68,7 +68,7 @@ class ThrowController:
         """Ends the game and makes the cuts of the flight in the object, as one step of undo."""
         throw, workspace = self.throw, self.workspace
         self.stop()
-        if throw is not None and throw.cuts:
+        if throw is not None and throw.cuts and throw.document.number == workspace.document.number:
             workspace.change(_("Throw and slice"), replace(workspace.document, cuts=throw.document.cuts))
             workspace.notify(
                 ngettext("Kept: {count} piece.", "Kept: {count} pieces.", len(workspace.pieces)).format(
@@ -88,6 +88,8 @@ class ThrowController:
             return
         if self.workspace.drawn_documents is self.workspace.documents or self.workspace.atoms is None:
             self.throw = None  # the object has changed
+        elif self.throw.document.number != self.workspace.document.number:
+            self.stop()  # another object was chosen
         elif self.clock() - self._begun > SECONDS:
             self._start()
         else:

@@ -93,6 +93,11 @@ class TrainingController:
         """Whether the active object's job is running, paused or about to stop."""
         return self.job is not None and self.job.phase in ("running", "paused", "stopping")
 
+    @property
+    def can_pause(self) -> bool:
+        """Whether the active object's job is running or paused, and was not told to stop."""
+        return self.job is not None and self.job.phase in ("running", "paused")
+
     def start(self) -> None:
         """Trains the document as it is now."""
         workspace, document = self.workspace, self.workspace.document
@@ -121,10 +126,12 @@ class TrainingController:
         if self.job is None:
             return
         try:
-            self._follow(self.job.resume(self.program), self.workspace.document.number)
+            job = self.job.resume(self.program)
         except InputError as error:
             self.workspace.show_error(error)
             return
+        self.workspace.change_settings(self.workspace.settings.with_job(job.out))
+        self._follow(job, self.workspace.document.number)
         self.workspace.notify(_("Training goes on from where it stopped."))
 
     def toggle_pause(self) -> None:
@@ -134,7 +141,7 @@ class TrainingController:
         if self.job.phase == "paused":
             self.job.unpause()
             self.workspace.notify(_("Training goes on."))
-        else:
+        elif self.job.phase == "running":
             self.job.pause()
             self.workspace.notify(_("Training is paused."))
 

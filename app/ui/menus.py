@@ -182,7 +182,7 @@ class Menus:
             Command("Cut", _("Put back together"), s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),
             Command("Cut", _("Remove all cuts"), self._remove_cuts, enabled=is_cut),
             Command("Interior", _("Give it an inside"), training.start, enabled=can_start),
-            Command("Interior", _("Pause"), training.toggle_pause, enabled=lambda: training.busy),
+            Command("Interior", _("Pause"), training.toggle_pause, enabled=lambda: training.can_pause),
             Command("Interior", _("Stop"), training.stop, enabled=lambda: training.busy),
             Command("Interior", _("Resume"), training.resume, enabled=can_resume),
             Command("Interior", _("Choose pictures..."), self._pictures, enabled=opened, separated=True),

@@ -21,6 +21,7 @@ from engine.io.writers.splats import SPLAT_WRITERS, write_splats
 from engine.scene.atoms import Atoms
 from engine.scene.grid import Body
 from engine.scene.inside import KIND_NAMES, Inside
+from engine.scene.moved import moved
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
@@ -31,6 +32,9 @@ Ink = tuple[int, int, int]
 
 STACK = ".zip"
 """Suffix of a stack of pictures for a printer."""
+
+IN_METRES = (".glb", ".usda", ".usdc")
+"""Suffixes of Gaussians whose unit is a metre."""
 
 MOST_INKS = 16
 """Most inks; a printer has eight."""
@@ -109,7 +113,14 @@ def kind_of(out: Path, name: str | None) -> ExportKind:
 
 def write_atoms(export: Export) -> str:
     """The atoms whose centres are kept, as Gaussians."""
+    if export.step is not None:
+        raise InputError(f"{export.out}: Gaussians have their own sizes; step is for meshes, volumes and particles")
+    in_metres = export.out.name.lower().endswith(IN_METRES)
+    if export.metres != 1 and not in_metres:
+        raise InputError(f"{export.out}: a file without a unit; only {', '.join(IN_METRES)} tell how long a unit is")
     gaussians = piece_gaussians(export.atoms, [Piece(export.planes)])
+    if export.metres != 1:
+        gaussians = moved(gaussians, np.eye(3), factor=export.metres)
     about = Provenance(export.meta.up, tuple(provenance(export.meta)))
     write_splats(export.out, gaussians, about)
     return f"{len(gaussians):,} Gaussians"
@@ -124,14 +135,15 @@ def write_mesh(export: Export) -> str:
     body, colours = solid_of(export)
     wanted = export.planes if export.pieces else [MeshOptions(export.source.stem, (export.planes,))]
     made = textured_pieces(body, colours, wanted, export.step, str(export.out))
-    save_mesh(export.out, made, export.meta.up, export.metres)
+    files = save_mesh(export.out, made, export.meta.up, export.metres)
     height, width = made.texture.shape[:2]
     pieces = f"{len(made.pieces)} pieces, " if len(made.pieces) > 1 else ""
     triangles = sum(len(piece.triangles) for piece in made.pieces)
     volume = sum(piece.volume for piece in made.pieces) * export.metres**3
     left = skin_outside(export.atoms, body)
     without = f"; {left:.0%} of the skin has no inside and is left out" if left > LEAST_TOLD else ""
-    return f"{pieces}{triangles:,} triangles, texture {width}x{height}, volume {volume:.4g} m³{without}"
+    picture = f"{width}x{height}{beside(files)}"
+    return f"{pieces}{triangles:,} triangles, texture {picture}, volume {volume:.4g} m³{without}"
 
 
 def write_volume(export: Export) -> str:
@@ -148,8 +160,12 @@ def write_volume(export: Export) -> str:
     kinds = [KIND_NAMES[n] for n in np.unique(voxels.kind)]
     x, y, z = voxels.grid.shape
     edge = f"{voxels.grid.cell * export.metres * 1000:.4g} mm"
-    beside = "".join(f", {file.name} beside it" for file in files[1:])
-    return f"{x} x {y} x {z} voxels of {edge}{beside}; labels {', '.join(kinds)}"
+    return f"{x} x {y} x {z} voxels of {edge}{beside(files)}; labels {', '.join(kinds)}"
+
+
+def beside(files: list[Path]) -> str:
+    """What is said of all files but the first."""
+    return "".join(f", {file.name} beside it" for file in files[1:])
 
 
 def write_particles(export: Export) -> str:

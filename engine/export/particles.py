@@ -15,6 +15,7 @@ from engine.errors import InputError
 from engine.export.light import linear_light
 from engine.export.voxels import Voxels
 from engine.io.files import atomic
+from engine.io.writers.usd import write_stage
 from engine.scene.inside import KIND_NAMES
 from engine.scene.moved import upright
 
@@ -116,6 +117,4 @@ def _save_usd(path: Path, arrays: dict[str, NDArray[Any]], spacing: float) -> No
     primvars.CreatePrimvar("labels", ints, UsdGeom.Tokens.vertex).Set(labels)
     names = ", ".join(f"{n} {k}" for n, k in enumerate(KIND_NAMES))
     stage.GetRootLayer().documentation = f"FruitNinja; labels: {names}"
-    with atomic(path) as temporary:
-        if not stage.GetRootLayer().Export(str(temporary)):
-            raise OSError("usd-core did not write it")
+    write_stage(path, stage)

@@ -25,7 +25,7 @@ from safetensors.numpy import load, save_file
 from engine.errors import InputError
 from engine.io.files import atomic_together, open_file, read_file, remove
 from engine.io.splats.ply import ply_data, read_ply
-from engine.io.splats.spz import read_spz
+from engine.io.splats.spz import MOST, read_spz
 from engine.io.splats.spz_sizes import refined_sizes, size_remainders
 from engine.io.strict_json import parse
 from engine.io.writers.solid_gaussians import ATOM_OPACITY
@@ -134,6 +134,8 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
     assert (gaussians.scales > 0).all(), "scales that are not above 0"
     kind, unit, compact = _kind(path), 1.0, _is_compact(path)
     if compact:
+        if len(gaussians) > MOST:
+            raise InputError(f"{path}: {len(gaussians):,} Gaussians; an .spz holds {MOST:,} at most: save a .ply")
         unit = spz_unit(gaussians)
         packed = spz_bytes(moved(gaussians, np.eye(3), factor=1 / unit))
     else:

@@ -355,6 +355,9 @@ def test_the_time_left_is_that_of_what_is_left(tmp_path: Path) -> None:
             tell(progress, gone + 100 * share, stage, 0.5)
             assert progress.remaining == pytest.approx(200 - gone - 100 * share)
         gone += 200 * share
+    # The same file goes on with the events of a process that was started anew.
+    tell(progress, 4, "measure")
+    assert progress.remaining is None
     # What goes on with an earlier run tells nothing until it has come as far, and a pause is no work.
     again = progress.resumed()
     again.fraction = again.begun = 0.5

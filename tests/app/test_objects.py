@@ -13,7 +13,8 @@ import pytest
 from app.jobs.results import default_out, result_folder
 from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera
-from app.model.document import Document, Training
+from app.model.document import Document, Part, Training
+from app.model.film.throw import SECONDS
 from app.model.history import History
 from app.model.knife import Stroke
 from app.model.pieces import Solid
@@ -22,6 +23,7 @@ from app.session.session import Session
 from engine.isolate.selection import Sphere, Step, removed
 from engine.scene.atoms import Atoms
 from engine.scene.gaussians import Gaussians
+from engine.scene.plane import Plane
 from tests.helpers.solids import ball, beside
 from tests.paths import HELPERS
 
@@ -190,6 +192,35 @@ def test_a_load_that_another_one_ended_has_its_turn_again(session: Session, monk
     assert session.scene.outdated is None and session.loader is None
 
 
+def test_a_throw_ends_when_another_object_is_chosen(session: Session) -> None:
+    make_solid(session)
+    clock = 50.0
+    session.throw.clock = lambda: clock
+    session.throw.begin(EYE.camera(160, 120, (0, 0, 1)))
+    clock += SECONDS / 2
+    session.throw.slice(EYE.camera(160, 120, (0, 0, 1)), ACROSS)
+    assert session.throw.active and session.throw.pieces > 1
+    session.activate(1 - session.active)
+    session.throw.keep()
+    assert not any(document.cuts for document in session.documents)
+    session.throw.begin(EYE.camera(160, 120, (0, 0, 1)))
+    session.activate(1 - session.active)
+    session.throw.tick()
+    assert not session.throw.active and not session.previewing
+
+
+def test_a_piece_of_which_nothing_is_shown_is_not_turned(session: Session) -> None:
+    make_solid(session)
+    session.change("Plane", session.document.with_cut((Part(Plane.of((0, 0, 1), 9.0)),), "Plane", "section"))
+    hidden = session.document.with_cut((Part(Plane.of((0, 0, 1), -9.0)),), "Plane", "section")
+    session.change("Plane", hidden)
+    session.selection = frozenset(piece.key for piece in session.pieces)
+    session.tool = "turn"
+    session.keyboard.arrow(EYE.camera(160, 120, (0, 0, 1)), 1, 0)
+    for document in session.documents:
+        assert all(np.isfinite(placement.motion.matrix).all() for _, placement in document.placements)
+
+
 def test_two_objects_are_trained_at_the_same_time(session: Session, tmp_path: Path) -> None:
     picture = tmp_path / "cut.png"
     picture.touch()
@@ -204,6 +235,9 @@ def test_two_objects_are_trained_at_the_same_time(session: Session, tmp_path: Pa
         assert session.training.job is session.training.jobs[1] and session.training.job.document.number == 2
         session.training.tick()
         session.training.stop()
+        session.training.toggle_pause()  # would suspend it before it has ended
+        assert not session.training.can_pause and session.training.job.phase == "stopping"
+        assert "paused" not in session.message
         session.activate(0)
         assert session.training.busy
         session.files.save(tmp_path / "a.fruitninja")

@@ -239,6 +239,10 @@ def test_what_cannot_be_is_one_line(solid: fruitninja.Solid, tmp_path: Path) -> 
         (lambda: fruitninja.grow(scene, radial="no.png"), "no.png: no such file"),
         (lambda: fruitninja.grow(scene, radial=scene, detail="fine"), "detail 'fine': unknown"),
         (lambda: fruitninja.grow(scene, radial=scene, up="w"), "up w: give x, y, z"),
+        (lambda: fruitninja.grow(scene, radial=scene, up=(1, 2, None)), "up (1, 2, None): give x, y, z"),  # type: ignore[arg-type]
+        (lambda: fruitninja.load(scene, seed=-1), "seed -1: give a whole number"),
+        (lambda: solid.export(tmp_path / "a.spz", metres=0.1), "a file without a unit"),
+        (lambda: solid.export(tmp_path / "a.ply", step=0.1), "Gaussians have their own sizes"),
         (lambda: solid.cut((1, 2, 3)), "give four numbers"),
         (lambda: solid.cut((0, 0, 0, 1)), "not zero"),
         (lambda: solid.colours([[1, 2]]), "points of shape (1, 2)"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -106,8 +106,16 @@ class Exporter:
 
     def _section(self, options: Options, path: Path) -> None:
         session = self.session
-        size, unit = max(options.width, 64), session.viewing.unit
-        picture = section_picture(self._draw, self._plane(), self._uncut(), session.up, session.solid, size, unit)
+        size, viewing = max(options.width, 64), session.viewing
+        if session.atoms is None:
+            raise InputError(_("There is no solid to save yet."))
+        session.viewing = replace(viewing, mode="solid")  # a capture is not cut
+        try:
+            picture = section_picture(
+                self._draw, self._plane(), self._uncut(), session.up, session.solid, size, viewing.unit
+            )
+        finally:
+            session.viewing = viewing
         save_still(path, picture, options.transparent)
         session.notify(_("Saved {name}.").format(name=path.name))
 

@@ -125,7 +125,7 @@ class Painter:
             tuple(id(detail.inside) if detail else None for detail in insides),
             camera.viewmat.tobytes(),
             repr(replace(camera, viewmat=np.zeros(0))),
-            tuple((piece.planes, piece.transform.tobytes()) for piece in pieces),
+            tuple((piece.planes, piece.transform.tobytes(), piece.solid) for piece in pieces),
         )
         overlay_key = tuple(
             (

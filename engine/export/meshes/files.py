@@ -74,7 +74,8 @@ def _save_glb(path: Path, made: TexturedPieces, matrix: NDArray[np.float64]) -> 
 
 
 def _save_obj(path: Path, made: TexturedPieces, matrix: NDArray[np.float64]) -> list[Path]:
-    material, picture = path.with_suffix(".mtl"), path.with_suffix(".png")
+    # By its whole name, as a picture of the same stem is likely to be the photograph of a cut.
+    material, picture = (path.with_name(path.name + suffix) for suffix in (".mtl", ".png"))
     out = io.StringIO()
     out.write(f"# FruitNinja\nmtllib {material.name}\nusemtl solid\n")
     first = 1
@@ -86,7 +87,7 @@ def _save_obj(path: Path, made: TexturedPieces, matrix: NDArray[np.float64]) -> 
         np.savetxt(out, np.repeat(piece.triangles + first, 3, axis=1), "f %d/%d/%d %d/%d/%d %d/%d/%d")
         first += len(piece.points)
     with atomic_together(path, material, picture) as (shape, look, texture):
-        shape.write_text(out.getvalue(), encoding="ascii")
+        shape.write_text(out.getvalue(), encoding="utf-8")
         look.write_text(f"newmtl solid\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {picture.name}\n", encoding="utf-8")
         texture.write_bytes(_png(made.texture))
     return [path, material, picture]
@@ -122,8 +123,10 @@ def _save_3mf(path: Path, made: TexturedPieces, matrix: NDArray[np.float64]) -> 
         mesh.SetAllTriangleProperties(properties)
         mesh.SetObjectLevelProperty(number, places[0])
         model.AddBuildItem(mesh, lib3mf.get_wrapper().GetIdentityTransform())
+    # Not into the file: where a disk is full, the library ends the process.
+    data = bytes(model.QueryWriter("3mf").WriteToBuffer())
     with atomic(path) as temporary:
-        model.QueryWriter("3mf").WriteToFile(str(temporary))
+        temporary.write_bytes(data)
     return [path]
 
 

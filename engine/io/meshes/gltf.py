@@ -31,6 +31,8 @@ PACKED = {
 }
 """Extensions that pack geometry, in the words of export dialogs."""
 
+PLACED = "KHR_texture_transform"
+
 HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "KHR_animation_", "EXT_texture_webp")
 """Prefixes of required extensions that change neither shape nor colours here, except WebP, which is supported."""
 
@@ -73,9 +75,34 @@ def _check_extensions(path: Path, tree: dict[str, Any], primitives: list[dict[st
         there = isinstance(index, int) and 0 <= index < len(accessors) and "bufferView" in accessors[index]
         if DRACO in extensions(primitive) and not there:
             required.append(DRACO)
+    if any(_is_placed_anew(material) for material in _used_materials(tree, primitives)):
+        raise InputError(
+            f"{path}: its texture is placed by {PLACED} or a second set of coordinates, which cannot be read; apply it "
+            "where the mesh was exported"
+        )
     unknown = sorted({name for name in required if not name.startswith(HARMLESS)})
     for name in unknown:
         if name in PACKED:
             raise InputError(f"{path}: its mesh is {PACKED[name]} ({name}), which cannot be read; export it without")
     if unknown:
         raise InputError(f"{path}: it needs {', '.join(unknown)}, which cannot be read; export it without")
+
+
+def _used_materials(tree: dict[str, Any], primitives: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The materials of these primitives."""
+    materials = rows(tree, "materials")
+    numbers = {n for one in primitives if isinstance(n := one.get("material"), int)}
+    return [materials[n] for n in sorted(numbers) if 0 <= n < len(materials)]
+
+
+def _is_placed_anew(material: dict[str, Any]) -> bool:
+    """Whether the picture of a material is read at other places than those of the first set of coordinates."""
+    metallic = material.get("pbrMetallicRoughness")
+    picture = metallic.get("baseColorTexture") if isinstance(metallic, dict) else None
+    if not isinstance(picture, dict):
+        return False
+    placed = extensions(picture).get(PLACED)
+    placed = placed if isinstance(placed, dict) else {}
+    usual = {"offset": [0, 0], "rotation": 0, "scale": [1, 1]}
+    moved = any(placed.get(name, same) != same for name, same in usual.items())
+    return moved or placed.get("texCoord", picture.get("texCoord", 0)) != 0

@@ -114,7 +114,7 @@ def _sections(path: Path, file: BinaryIO, size: int, headers: int, compression: 
         end = first + _row(compression, degree).itemsize * room
         if end > size:
             raise short
-        if compression and count and (not buckets or not steps or (full and not full_size)):
+        if compression and count and (not full + partial or not steps or (full and not full_size)):
             raise InputError(f"{path}: damaged: its places are relative to nothing")
         file.seek(base)
         lengths = np.frombuffer(file.read(4 * partial), "<u4").astype(np.int64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -63,7 +64,15 @@ class _Files:
                 data = file.read(most + 1)
         except KeyError as error:
             raise InputError(f"{self.path}: {name} is missing in it; export the capture again") from error
-        except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError) as error:
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            lzma.LZMAError,
+            NotImplementedError,
+            RuntimeError,
+            EOFError,
+            OSError,
+        ) as error:
             raise InputError(f"{self.path}: damaged: it cannot be unpacked; copy or export it again") from error
         if len(data) > most:
             raise InputError(f"{self.path}: {name} in it is too large; export the capture again")
@@ -122,7 +131,7 @@ def read_sog(path: str | Path, most: int | None = None) -> tuple[Gaussians, list
             count, blocks, columns = _contents(files, meta, most)
         except InputError:
             raise
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
             raise InputError(f"{path}: damaged: its {META} lacks what an SOG has; export the capture again") from error
     return gaussians_from_rows(path, blocks, count, columns)
 
@@ -135,6 +144,8 @@ def _contents(files: _Files, meta: dict[str, Any], most: int | None) -> tuple[in
     means, scales, quats, sh0 = (meta[name] for name in ("means", "scales", "quats", "sh0"))
     low, high = (files.pixels(name, count)[:, :3] for name in means["files"][:2])
     least, range_ = np.array(means["mins"], float), np.array(means["maxs"], float) - np.array(means["mins"], float)
+    if least.shape != (3,) or range_.shape != (3,):
+        raise ValueError(least.shape)
     sizes, turns, colours = (files.pixels(part["files"][0], count) for part in (scales, quats, sh0))
     size_book, colour_book = _codebook(scales), _codebook(sh0)
     palette = _palette(files, meta["shN"], count) if most is None and "shN" in meta else None

@@ -26,6 +26,9 @@ VERSION = 4
 LEVEL = 3
 """zstd level: 12 takes six times as long for a tenth of a per cent of the size."""
 
+FARTHEST = 2**23 - 1
+"""Largest coordinate that fits in three bytes."""
+
 STEPS = 256
 """Steps of a place in the size of a detail: moving atoms by a thousandth of the distance to their neighbours changes no
 colour of a face by more than rounding colours to bytes does."""
@@ -65,6 +68,9 @@ def spz_misfit(gaussians: Gaussians) -> str:
     """Why these Gaussians cannot become an .spz, and what to do; empty if they can."""
     if len(gaussians) > MOST:
         return f"{len(gaussians):,} Gaussians; an .spz holds {MOST:,} at most: save a .ply"
+    farthest = float(np.abs(gaussians.means).max(initial=0))
+    if farthest > FARTHEST:
+        return f"places as far as {farthest:.3g} units; an .spz holds {FARTHEST:,} at most: save a .ply"
     if spz_unit(gaussians) != 1:
         low, high = (float(np.exp(end)) for end in LOG_SCALES)
         return f"details of {_detail(gaussians):.2g} units; an .spz holds {low:.1g} to {high:.3g}: save a .ply"
@@ -118,7 +124,7 @@ def _detail(gaussians: Gaussians) -> float:
 def _fractional_bits(gaussians: Gaussians) -> int:
     """Fractional bits of a place: as many as details need, and no more than leave room for the farthest place."""
     farthest = float(np.abs(gaussians.means).max(initial=1e-30))
-    room = math.floor(math.log2((2**23 - 1) / farthest))
+    room = math.floor(math.log2(FARTHEST / farthest))
     return int(np.clip(math.ceil(math.log2(STEPS / _detail(gaussians))), 0, min(max(room, 0), MOST_BITS)))
 
 

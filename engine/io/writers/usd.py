@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from engine.io.writers.provenance import Provenance
 from engine.scene.gaussians import Gaussians
 from engine.scene.moved import moved, upright
 
-__all__ = ["write_usd"]
+__all__ = ["write_stage", "write_usd"]
 
 MISSING = "USD needs usd-core 26.3 or newer; install it with: pip install 'fruitninja[usd]'"
 """Error without usd-core, with the first version that knows the schema."""
@@ -58,6 +59,15 @@ def write_usd(path: Path, gaussians: Gaussians, about: Provenance) -> None:
     reach = 3 * g.scales.max(1, keepdims=True)  # the schema's support
     corners = (g.means - reach).min(0), (g.means + reach).max(0)
     UsdGeom.Boundable(prim).CreateExtentAttr([Gf.Vec3f(*map(float, corner)) for corner in corners])
+    write_stage(path, stage)
+
+
+def write_stage(path: Path, stage: Any) -> None:
+    """Writes a stage of usd-core. Raises InputError if that fails."""
     with atomic(path) as temporary:
-        if not stage.GetRootLayer().Export(str(temporary)):
+        try:
+            written = stage.GetRootLayer().Export(str(temporary))
+        except RuntimeError as error:
+            raise OSError(" ".join(str(error).split())) from error
+        if not written:
             raise OSError("usd-core did not write it")

@@ -162,6 +162,21 @@ def test_the_window_keeps_what_is_shown_plays_it_and_leaves_it(session: Session)
     assert len(session.timeline.moments) == 1 and not film.ready
 
 
+def test_a_closed_film_of_which_undo_leaves_one_moment_stops(session: Session) -> None:
+    film, clock = session.film, 100.0
+    film.clock = lambda: clock
+    film.add()
+    film.add()  # of the same: the film is closed
+    film.play()
+    clock += 0.5
+    film.tick()
+    assert film.playing
+    session.undo()
+    clock += 0.5
+    film.tick()
+    assert not film.playing and film.time == 0.0
+
+
 def test_a_film_is_saved_as_the_window_shows_it(session: Session, tmp_path: Path) -> None:
     project = Project(
         (HALVED,), Viewing(), exploding(moment(0.0, OrbitCamera(azimuth=-90.0, elevation=0.0), (HALVED,)), 1.0)

@@ -129,6 +129,15 @@ def test_a_piece_of_several_cells_is_one_closed_mesh_where_it_lies(body: Body) -
     assert not inner.any()
 
 
+def test_an_obj_with_any_name_leaves_the_photograph_beside_it(made: TexturedPieces, tmp_path: Path) -> None:
+    (tmp_path / "äpfel.png").write_bytes(b"a photograph")
+    files = save_mesh(tmp_path / "äpfel.obj", made, (0, 0, 1), METRES)
+    assert {path.name for path in files} == {"äpfel.obj", "äpfel.obj.mtl", "äpfel.obj.png"}
+    assert (tmp_path / "äpfel.png").read_bytes() == b"a photograph"
+    mesh = trimesh.load(files[0], force="mesh")
+    assert np.asarray(mesh.visual.material.image).shape == made.texture.shape
+
+
 def test_nothing_left_is_one_line(body: Body) -> None:
     with pytest.raises(InputError, match=r"^a\.glb: nothing to save"):
         textured_pieces(

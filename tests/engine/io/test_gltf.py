@@ -65,6 +65,15 @@ def test_a_gltf_with_its_array_beside_it(tmp_path: Path, binary: bool) -> None:
 
 
 DRACO = "KHR_draco_mesh_compression"
+PLACED = "KHR_texture_transform"
+
+
+def painted(**texture: object) -> Callable[[Path], Path]:
+    """A triangle with a texture."""
+    material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0} | texture}}
+    return gltf(meshes=primitive(material=0), materials=[material])
+
+
 UNREAD = [{"componentType": 5126, "count": 3, "type": "VEC3"}]
 GLTF: dict[str, tuple[Callable[[Path], Path], str]] = {
     "its array is missing": (gltf("b.bin"), "its file 'a%20b.bin' is missing; put it into the same folder"),
@@ -79,6 +88,8 @@ GLTF: dict[str, tuple[Callable[[Path], Path], str]] = {
     "meshopt, new": (gltf(extensionsRequired=["KHR_meshopt_compression"]), "cannot be read; export it without"),
     "quantized": (gltf(extensionsRequired=["KHR_mesh_quantization"]), "its mesh is quantized"),
     "unknown": (gltf(extensionsRequired=["A_b", "C_d"]), "it needs A_b, C_d, which cannot be read"),
+    "a texture that is moved": (painted(extensions={PLACED: {"offset": [0.5, 0]}}), f"placed by {PLACED} or a second"),
+    "a second set of places": (painted(texCoord=1), "a second set of coordinates"),
     "only lines": (gltf(meshes=primitive(mode=1)), "there is no face in it, only lines"),
     "points and lines": (gltf(meshes=primitive(mode=0) + primitive(mode=3)), "only lines and points"),
     "Gaussians": (

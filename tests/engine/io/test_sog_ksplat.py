@@ -169,12 +169,15 @@ def test_files_of_others() -> None:
 
 FILES = sog(scene(1))
 SOG, KSPLAT = zipped(FILES), ksplat(scene(1), 1)
+MEANS = {"mins": [0, 0, 0], "maxs": [1, 1, 1], "files": ["means_l.webp", "means_u.webp"]}
 BAD = {
     "missing.sog": (zipped({k: v for k, v in FILES.items() if k != "quats.webp"}), "quats.webp is missing"),
     "version.sog": (zipped(sog(scene(), version=1)), "another version than 2"),
     "count.sog": (zipped(sog(scene(), count=9_999)), "where 9,999 are promised"),
     "no_count.sog": (zipped(sog(scene(), count="many")), "lacks what an SOG has"),
     "book.sog": (zipped(sog(scene(), sh0={"codebook": [1, 2], "files": ["sh0.webp"]})), "lacks what"),
+    "bounds.sog": (zipped(sog(scene(), means=MEANS | {"mins": [0, 0]})), "lacks what"),
+    "endless.sog": (zipped(sog(scene(), sh0={"codebook": [10**400] * 256, "files": ["sh0.webp"]})), "lacks what"),
     "away.sog": (zipped(sog(scene(), quats={"files": ["../a.webp"]})), "names a file in another folder"),
     "picture.sog": (zipped(FILES | {"sh0.webp": b"%!PS"}), "its picture sh0.webp: this is a PostScript file"),
     "text.sog": (zipped(FILES | {"meta.json": b"{"}), "its meta.json cannot be read"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from engine.io.load import load
 from engine.io.writers.provenance import Provenance
 from engine.io.writers.solid_gaussians import ATOM_OPACITY
 from engine.io.writers.splats import SPLAT_WRITERS, write_splats
+from engine.io.writers.usd import write_stage
 from engine.scene.gaussians import Gaussians
 from engine.scene.moved import moved, upright
 from tests.engine.io.test_splat_formats import N, scene
@@ -171,6 +173,15 @@ def test_what_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.Monk
         write_splats(tmp_path / "a.spz", g[:0], Provenance())
     with pytest.raises(InputError, match=r"details of .* units; an .spz holds"):
         write_splats(tmp_path / "a.spz", moved(g, np.eye(3), factor=1e-6), Provenance())
+    with pytest.raises(InputError, match=r"places as far as 9.66e\+06 units; an .spz holds 8,388,607"):
+        write_splats(tmp_path / "a.spz", moved(g, np.eye(3), (9_660_000, 0, 0), 120.0), Provenance())
+
+    def fail(_: str) -> bool:
+        raise RuntimeError("no space\nleft")
+
+    stage = SimpleNamespace(GetRootLayer=lambda: SimpleNamespace(Export=fail))
+    with pytest.raises(InputError, match="no space left"):
+        write_stage(tmp_path / "a.usdc", stage)
     monkeypatch.setitem(sys.modules, "pxr", None)
     with pytest.raises(InputError, match="USD needs usd-core"):
         write_splats(tmp_path / "a.usdc", g, Provenance())
