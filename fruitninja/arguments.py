@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from engine.errors import InputError
+from engine.io.fields import LARGEST_INTEGER
 from engine.isolate.selection import Below, Box, Isolation, Sphere, keep_only
 from engine.scene.plane import Plane
 from training.cli import parse_axis
@@ -78,9 +79,9 @@ def as_up(given: UpLike | None) -> tuple[float, float, float] | None:
 
 
 def as_seed(given: int) -> int:
-    """The seed. Raises InputError unless it is a whole number from 0 on."""
-    if isinstance(given, bool) or not isinstance(given, int | np.integer) or given < 0:
-        raise InputError(f"seed {given!r}: give a whole number from 0 on")
+    """The seed. Raises InputError unless it is a whole number from 0 to 2^53."""
+    if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 0 <= given <= LARGEST_INTEGER:
+        raise InputError(f"seed {given!r}: give a whole number from 0 to {LARGEST_INTEGER}")
     return int(given)
 
 

@@ -13,6 +13,7 @@ import typer
 
 from engine.command import Stop, Stopped, parse_numbers, print_result, run_command
 from engine.errors import InputError
+from engine.io.fields import LARGEST_INTEGER
 from engine.io.files import locked_folder
 from engine.io.load import load
 from engine.io.picture_file import PICTURE_SUFFIXES
@@ -94,7 +95,7 @@ def train(
         str | None, typer.Option("--object", help="What the object is, for priors that read: watermelon.")
     ] = None,
     iterations: Annotated[int | None, typer.Option(min=0, help="Most training iterations.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_INTEGER, help="The same seed gives the same result.")] = 0,
     compact: Annotated[
         bool, typer.Option("--compact", help="The result as .spz, a tenth of a .ply's size, in place of the .ply.")
     ] = False,
@@ -204,7 +205,7 @@ def finetune(
     thing: Annotated[str, typer.Option("--object", help="What the pictures show: watermelon.")] = "object",
     full: Annotated[bool, typer.Option("--full", help="Train every weight of the network, not LoRA's few.")] = False,
     steps: Annotated[int | None, typer.Option(min=1, help="Training steps.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_INTEGER, help="The same seed gives the same result.")] = 0,
     events: Annotated[
         str | None, typer.Option(help="One JSON object a line, to a file or to standard output (-).")
     ] = None,
@@ -270,6 +271,8 @@ def parse_families(
     for text in families:
         name, *parts = text.split(":")
         kind = parse_kind(name, f"--family {text}")
+        if kind != "custom" and kind in counts:
+            raise InputError(f"--family {text}: {kind} is given twice; give it once")
         if kind == "custom":
             complaint = f"--family {text}: give a plane as custom:a,b,c,d"
             a, b, c, d = parse_numbers(parts[0] if len(parts) == 1 else "", 4, complaint)

@@ -82,9 +82,8 @@ class Family:
             return up
         if self.axis is not None:
             return np.asarray(self.axis, np.float64) / np.linalg.norm(self.axis)
-        low, high = body.bounds()
-        e1, e2 = equator(up)
-        return e1 if abs((high - low) @ e1) >= abs((high - low) @ e2) else e2
+        points, (e1, e2) = body.grid.centres()[body.inside], equator(up)
+        return e1 if np.ptp(points @ e1) >= np.ptp(points @ e2) else e2
 
     def as_standard_kind(self, body: Body, up: NDArray[np.float64]) -> Family:
         """A custom family as the horizontal, radial or parallel one that fits its first plane; others unchanged.

@@ -51,18 +51,18 @@ def labels_from_volume(
     cuts: Sequence[Slice],
     prior: VolumeSolver,
     progress: Progress,
-    warn: Callable[[str], None],
+    tell: Callable[[str], object],
 ) -> tuple[list[Float], Colours, float, Inside | None]:
     """Labels (H, W, 3) as cuts through one volume, its colour field for atoms, its coarsening, and its inside if any.
 
     The labels of all planes are consistent in space. The coarsening is the ratio of the volume's cell to the requested
-    one: more than 1 if the pictures resolve less; the atoms may then be coarser too. `warn` gets a note for everything
+    one: more than 1 if the pictures resolve less; the atoms may then be coarser too. `tell` gets a note for everything
     that the user should check in the pictures.
     """
     detail = request.fineness
     volume = prior.solve(geometry.body, geometry.up, request.families, detail.voxels, request.seed, progress)
     for note in volume.notes:
-        warn(note)
+        tell(note)
     labels = [np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts]
     requested_cell = geometry.pitch * detail.cells / detail.voxels
     return (

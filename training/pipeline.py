@@ -167,6 +167,8 @@ class Pipeline:
             arrays, made = self.checkpoint.load_or_make(
                 "labels", lambda: self.make_labels(geometry, cuts, prior, stage)
             )
+            for note in made["notes"]:
+                self.reporter.warn(note)
             if self.inside is None and "inside" in made:  # from an interrupted run
                 record = {name.removeprefix(INSIDE): a for name, a in arrays.items() if name.startswith(INSIDE)}
                 self.inside = restore_inside((record, made["inside"]))
@@ -182,16 +184,17 @@ class Pipeline:
     def make_labels(
         self, geometry: Geometry, cuts: Sequence[Slice], prior: Denoiser | VolumeSolver, stage: Stage
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Labels and interior atoms as arrays for the checkpoint, and two facts about the atoms.
+        """Labels and interior atoms as arrays for the checkpoint, and facts about them.
 
-        `cells` is the number of the finest atoms along the body's longest side, fewer than requested if the prior
-        resolves less; `exposed` is `InteriorAtoms.exposed`.
+        `notes` are what the user should check in the pictures; `cells` is the number of the finest atoms along the
+        body's longest side, fewer than requested if the prior resolves less; `exposed` is `InteriorAtoms.exposed`.
         """
         request, progress = self.request, self.track_progress(stage, 0.0, 1.0)
         cells: float = request.fineness.fine
+        notes: list[str] = []
         if isinstance(prior, VolumeSolver):
             labels, colours, coarsening, self.inside = labels_from_volume(
-                request, geometry, cuts, prior, progress, self.reporter.warn
+                request, geometry, cuts, prior, progress, notes.append
             )
             cells /= coarsening
         else:
@@ -199,7 +202,7 @@ class Pipeline:
         interior = self.fill_interior(geometry, geometry.pitch * request.fineness.cells / cells, colours)
         rgb = deblur(geometry.filled(interior), interior.rgb)
         arrays = {"labels": np.stack(labels), "means": interior.means, "sigmas": interior.sigmas, "rgb": rgb}
-        made = {"exposed": interior.exposed, "cells": round(cells)}
+        made = {"exposed": interior.exposed, "cells": round(cells), "notes": notes}
         if self.inside is None:
             return arrays, made
         record, facts = self.inside.record()

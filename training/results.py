@@ -85,9 +85,10 @@ def save_results(
 
 
 def surface_psnr(geometry: Geometry, atoms: Atoms) -> float:
-    """Mean PSNR in dB of the opaque object against the input 3DGS, on held-out views.
+    """Mean PSNR in dB of the opaque object against the capture without haze (merged if it is very large), on held-out
+    views.
 
-    Measured on entire pictures over white: dropped haze and sharper edges count as errors.
+    Measured on entire pictures over white: sharper edges count as errors.
     """
     size = DETAILS["standard"].surface
     figures = []

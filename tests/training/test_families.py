@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.scene.camera import plane_points, section
+from engine.scene.camera import equator, plane_points, section
 from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from training.cli import parse_families
@@ -102,6 +102,7 @@ def test_command_line_families(tmp_path):
         (["radial={}"], ["radial:3:0.1.."], "as in 0.2..0.8"),
         (["radial={}"], ["radial:3:nan..1"], "as in 0.2..0.8"),
         (["radial={}"], ["radial:0..1"], "above zero"),
+        (["parallel={}"], ["parallel:60:x", "parallel:30:y"], "--family parallel:30:y: parallel is given twice"),
     ],
 )
 def test_families_that_cannot_be(exemplars, families, said, tmp_path):
@@ -110,3 +111,13 @@ def test_families_that_cannot_be(exemplars, families, said, tmp_path):
     with pytest.raises(InputError, match=said) as caught:
         parse_families([text.format(picture) for text in exemplars], families, [])
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 0.8, 0.6), (0.0, 0.7, 0.71), (0.0, -0.85, -0.53)])
+def test_a_loaf_is_sliced_across_its_longest_side_however_it_lies(up: tuple[float, float, float]) -> None:
+    axis = np.asarray(up) / np.linalg.norm(up)
+    e1, e2 = equator(axis)
+    grid = Grid(np.full(3, -1.6), 0.08, (40,) * 3)
+    along = np.abs(grid.centres() @ np.stack([e1, e2, axis], 1)) - np.array([0.5, 1.0, 0.45])
+    body = Body(grid, -along.max(-1).astype(np.float32))
+    assert abs(Family("parallel", 5).normal(body, axis) @ e2) == pytest.approx(1)

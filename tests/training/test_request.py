@@ -71,6 +71,20 @@ def test_the_form_of_the_result_makes_no_other_run(tmp_path: Path) -> None:
     assert standard.fingerprint() == compact.fingerprint() != replace(compact, seed=1).fingerprint()
 
 
+def test_an_axis_of_another_picture_makes_another_run(tmp_path: Path) -> None:
+    names = "horizontal.png", "radial.png"
+    for name in ("a.ply", *names):
+        (tmp_path / name).write_bytes(name.encode())
+    request = Request(
+        tmp_path / "a.ply",
+        tuple(Family(Path(n).stem, 3, (tmp_path / n,)) for n in names),  # type: ignore[arg-type]
+    )
+    (tmp_path / "horizontal.axis.json").write_text("[0, 0]")
+    before = request.fingerprint()
+    (tmp_path / "horizontal.axis.json").rename(tmp_path / "radial.axis.json")
+    assert len(request.files) == 4 and request.fingerprint() != before
+
+
 def test_a_relative_request_is_written_with_absolute_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     request = Request(Path("melon.ply"), (Family("radial", 3, (Path("a.png"),)),))

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from distributed import Event, get_client, get_worker
 
 from engine.errors import InputError
-from engine.io.files import read_file, write_json
+from engine.io.files import read_file, remove, write_json
 from engine.threads import use_cores
 
 __all__ = ["RESULT_LIMIT", "Task", "TaskStopped", "report", "run_task", "should_stop"]
@@ -106,6 +106,7 @@ def run_task(task: Task, topic: str) -> dict[str, Any]:
     """Runs a task on a worker, with its share of the machine's cores; stores and returns the facts."""
     if (facts := task.load_facts()) is not None:  # finished by a worker that seemed lost
         return facts
+    remove(task.result)  # of other settings: its files are about to be replaced
     use_cores(share_of_cores())
     _thread.job = _Job(task.name, topic)
     try:

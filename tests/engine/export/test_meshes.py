@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from scipy import ndimage
+from trimesh.visual import TextureVisuals
 
 pytest.importorskip("manifold3d", reason="the export extra is not installed")
 
@@ -134,8 +135,9 @@ def test_an_obj_with_any_name_leaves_the_photograph_beside_it(made: TexturedPiec
     files = save_mesh(tmp_path / "äpfel.obj", made, (0, 0, 1), METRES)
     assert {path.name for path in files} == {"äpfel.obj", "äpfel.obj.mtl", "äpfel.obj.png"}
     assert (tmp_path / "äpfel.png").read_bytes() == b"a photograph"
-    mesh = trimesh.load(files[0], force="mesh")
-    assert np.asarray(mesh.visual.material.image).shape == made.texture.shape
+    visual = trimesh.load_mesh(files[0]).visual
+    assert isinstance(visual, TextureVisuals)
+    assert np.asarray(visual.material.image).shape == made.texture.shape
 
 
 def test_nothing_left_is_one_line(body: Body) -> None:

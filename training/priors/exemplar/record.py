@@ -15,7 +15,7 @@ from engine.scene.inside import InsideRecord
 __all__ = ["MOST_SEED", "MOST_SHEETS", "RecordReader", "nested"]
 
 MOST_SHEETS = 40
-"""Largest number of pictures in a file: 20 of each family."""
+"""Largest number of pictures of an inside: 20 of each family."""
 
 MOST_SEED = 1 << 63
 

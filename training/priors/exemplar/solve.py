@@ -43,7 +43,7 @@ from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.exemplar.quilting.labels import made_of_grains
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.quilt import make_quilt
-from training.priors.exemplar.record import MOST_SEED
+from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS
 from training.priors.exemplar.sharpen import sharpen
 from training.priors.prior import Progress, Volume
 
@@ -76,9 +76,11 @@ def solve(
     families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
     if not families:
         raise InputError("no exemplar pictures: give at least one family a photograph of a cut face")
+    each = [(family, path) for family in families for path in family.exemplars]
+    if len(each) > MOST_SHEETS:
+        raise InputError(f"{len(each)} pictures of cut faces; give at most {MOST_SHEETS}")
     rng = np.random.default_rng(seed)
     progress(0.0)
-    each = [(family, path) for family in families for path in family.exemplars]
     read = iter(side_by_side(lambda one: read_picture(one[1], one[0].kind, one[0].marks_of(one[1])), each))
     taken = [[next(read) for _ in family.exemplars] for family in families]
     notes = tuple(f"{p.path}: {p.note}" for own in taken for p in own if p.note)
