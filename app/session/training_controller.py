@@ -151,11 +151,6 @@ class TrainingController:
             self.job.stop()
             self.workspace.notify(_("Stopping. What was done is kept."))
 
-    def dismiss(self) -> None:
-        """Stops following the active object's job, which has ended."""
-        if self.job is not None and not self.busy:
-            del self._followed[self.workspace.document.number]
-
     def tick(self) -> None:
         """Reads the jobs' events and colours when they are due. Called once a frame."""
         now = time.monotonic()

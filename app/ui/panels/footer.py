@@ -89,5 +89,4 @@ class Footer:
             training.resume()
         imgui.same_line()
         if imgui.button(_("Start again"), ImVec2(px(100), square)):
-            training.dismiss()
             training.start()
