@@ -48,7 +48,7 @@ bench: $(READY)
 		--scenes $(OTHERS),watermelon,orange,bread,apple,pomegranate,cake$(THIGH) --methods $(METHODS)
 	cp out/evaluation/report.json docs/charts/evaluation_scenes.json
 	$(BIN)/fruitninja-evaluate --cuts 120 --seeds 3 --detail standard -o out/evaluation_seeds \
-		--scenes $(OTHERS)$(THIGH),watermelon,orange,bread --methods ours
+		--scenes $(OTHERS) --methods ours
 	cp out/evaluation_seeds/report.json docs/charts/evaluation_seeds.json
 	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation
 	cp out/evaluation/report.json docs/charts/evaluation.json

@@ -114,14 +114,14 @@ def of_methods() -> list[str]:
 
 
 def of_seeds() -> list[str]:
-    """Many cuts of each scene, pictures of others first: means of the seeds and their standard deviation."""
+    """Many cuts of solids with pictures of others: means of the seeds and their standard deviation."""
     results = chart("evaluation_seeds")["results"]
     scenes: dict[str, list[dict[str, Any]]] = {}
     for name, facts in results.items():
         scenes.setdefault(name.split("/")[0], []).append(facts)
     lines = []
     for scene, seeds in scenes.items():
-        cells = [scene.replace("_", " of ")]
+        cells = [scene.removesuffix("_others")]
         for key, digits in (
             ("psnr_db", 1),
             ("patch_ratio", 1),
