@@ -161,6 +161,6 @@ def test_a_run_keeps_it_and_resumes_to_the_same(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(Interrupted):
         run(request, twice, Reporter(), False, labels.exists)
     run(request, twice, Reporter(), True, lambda: False)
-    assert read_inside(path) is not None
+    assert load_inside_record(path) is not None
     for file in (path.name, inside_path(path).name, "cuts.png"):
         assert (once / file).read_bytes() == (twice / file).read_bytes(), file
