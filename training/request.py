@@ -114,7 +114,7 @@ class Request:
         digest = hashlib.sha256(f"{FORMAT}".encode())
         for path in self.files:
             # By name as well: a mask or an axis is of the picture that it is called like.
-            digest.update(f"{path.name} {path.stat().st_size} ".encode(errors="surrogateescape"))
+            digest.update(f"/{path.name}/".encode(errors="surrogateescape"))
             with open_file(path) as file:
                 hashlib.file_digest(file, lambda: digest)  # updates this digest
         for folder in filter(None, (self.model, self.midas)):

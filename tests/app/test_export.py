@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from app.jobs.export import (
     ffmpeg,
@@ -94,6 +94,10 @@ def test_stills_and_animations_open_again(tmp_path: Path) -> None:
         assert save_animation(tmp_path / name, iter(frames)) == 6
         with Image.open(tmp_path / name) as image:
             assert image.size == (31, 20) and getattr(image, "n_frames", 1) == 6
+    # It lasts as long as its frames, though a .gif counts in hundredths of a second.
+    save_animation(tmp_path / "a.gif", iter(frames), 24.0)
+    with Image.open(tmp_path / "a.gif") as image:
+        assert sum(frame.info["duration"] for frame in ImageSequence.Iterator(image)) == 250
     with pytest.raises(InputError, match="ffmpeg" if ffmpeg() is None else "nothing"):
         save_animation(tmp_path / "a.mp4", iter(()))
     for path, call in ((tmp_path / "a.bmp", save_still), (tmp_path / "a.avi", save_animation)):

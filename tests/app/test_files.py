@@ -311,6 +311,14 @@ def test_what_cannot_be_read_leaves_what_is_open(tmp_path: Path, monkeypatch: py
     opened("gone.fruitninja")
     assert "gone.ply" in session.error and session.object is shown and session.path == path
 
+    # Of several objects, another one may be looked at when the first is read.
+    session.files._before = _Opened(History(Work((Document(),))), session.viewing, None, 0, {})
+    number = session.document.number
+    session.loaded[number + 1] = session.loaded.pop(number)
+    session.files.tick()
+    assert session.history is history and session.path == path and session.object is None
+    session.loaded[number] = session.loaded.pop(number + 1)
+
     # What was still being made solid is made solid again.
     session.object = replace(shown, atoms=None, trained=False)
     again: list[Path | None] = []

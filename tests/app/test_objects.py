@@ -238,6 +238,15 @@ def test_two_objects_are_trained_at_the_same_time(session: Session, tmp_path: Pa
         session.training.toggle_pause()  # would suspend it before it has ended
         assert not session.training.can_pause and session.training.job.phase == "stopping"
         assert "paused" not in session.message
+        # Once it has stopped and goes on, it is remembered for the next start, as a new one is.
+        stopped = session.training.job
+        while not stopped.ended:
+            session.training.tick()
+            time.sleep(0.02)
+        session.training.tick()
+        assert str(stopped.out) not in session.settings.jobs
+        session.training.resume()
+        assert not session.error and str(stopped.out) in session.settings.jobs
         session.activate(0)
         assert session.training.busy
         session.files.save(tmp_path / "a.fruitninja")

@@ -238,6 +238,10 @@ def test_a_grid_of_plain_functions(tmp_path: Path, address: str) -> None:
     outcomes = run_grid(tasks, lambda *_: None, lambda: False, scheduler=address)
     assert [o.status for o in outcomes] == ["done", "kept", "failed", "done"]
     assert outcomes[0].facts == {"twice": 12}
+    # What other settings wrote over is done again, even if they did not come to their end.
+    tasks[0] = Task("double", fail, {}, tmp_path / "double.json", "broken")
+    assert run_grid(tasks[:1], lambda *_: None, lambda: False, scheduler=address)[0].status == "failed"
+    assert not (tmp_path / "double.json").exists()
     assert should_stop() is False
 
 

@@ -83,6 +83,9 @@ def test_an_axis_of_another_picture_makes_another_run(tmp_path: Path) -> None:
     before = request.fingerprint()
     (tmp_path / "horizontal.axis.json").rename(tmp_path / "radial.axis.json")
     assert len(request.files) == 4 and request.fingerprint() != before
+    (tmp_path / "radial.png").unlink()
+    with pytest.raises(InputError, match="no such file"):
+        request.fingerprint()
 
 
 def test_a_relative_request_is_written_with_absolute_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,6 +32,7 @@ PACKED = {
 """Extensions that pack geometry, in the words of export dialogs."""
 
 PLACED = "KHR_texture_transform"
+"""Extension that moves, turns or scales a texture, which the reader of meshes does not apply."""
 
 HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "KHR_animation_", "EXT_texture_webp")
 """Prefixes of required extensions that change neither shape nor colours here, except WebP, which is supported."""

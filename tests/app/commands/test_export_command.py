@@ -73,6 +73,17 @@ def test_other_kinds_say_what_they_hold(
     assert said in capsys.readouterr().out and (tmp_path / name).stat().st_size > 100
 
 
+def test_gaussians_in_metres_are_as_large_as_is_said(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes = []
+    for metres in ("1", "0.04"):
+        assert run(monkeypatch, trained, "-o", tmp_path / "a.glb", "--metres", metres) == 0
+        found = load(tmp_path / "a.glb").gaussians
+        sizes.append((np.ptp(found.means, axis=0).max(), np.median(found.scales)))
+    assert sizes[1] == pytest.approx([0.04 * size for size in sizes[0]], rel=1e-5)
+
+
 def test_a_stack_of_inks_shows_no_other_colour(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -187,6 +187,7 @@ BAD = {
     "short.ksplat": (KSPLAT[:3000], "truncated"),
     "part.ksplat": (KSPLAT[:-5], "truncated"),
     "old.ksplat": (b"\0\0" + KSPLAT[2:], "version 0.0"),
+    "centres.ksplat": (KSPLAT[:4128] + bytes(8) + KSPLAT[4136:], "its places are relative to nothing"),
     "level.ksplat": (KSPLAT[:20] + b"\7" + KSPLAT[21:], "damaged"),
     "many.ksplat": (KSPLAT[:4] + b"\xff" * 4 + KSPLAT[8:], "truncated"),
     "empty.ksplat": (KSPLAT[:4096] + bytes(len(KSPLAT) - 4096), "there are no Gaussians in it"),

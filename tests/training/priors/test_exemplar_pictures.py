@@ -105,6 +105,9 @@ def test_refusals_are_one_clear_line(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=name) as caught:
             read_picture(tmp_path / f"{name}.png", "horizontal")
         assert "\n" not in str(caught.value)
+    many = Family("parallel", 60, tuple(tmp_path / f"{n}.png" for n in range(41)))
+    with pytest.raises(InputError, match="41 pictures of cut faces; give at most 40"):
+        ExemplarPrior().solve(ball(), UP, [many], 16, 0, quiet)
     with pytest.raises(InputError, match="no exemplar"):
         ExemplarPrior().solve(ball(), UP, [Family("horizontal", 40)], 16, 0, quiet)
 

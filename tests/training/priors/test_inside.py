@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from tests.paths import SAMPLES
 from training.events import Reporter
 from training.families import Family
 from training.pipeline import run
+from training.priors.exemplar import ExemplarPrior
 from training.priors.exemplar.frames import make_space
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, BallMap, Disc, disc_grid
@@ -158,9 +160,13 @@ def test_a_run_keeps_it_and_resumes_to_the_same(tmp_path: Path, monkeypatch: pyt
     once, twice = tmp_path / "once", tmp_path / "twice"
     path = run(request, once, Reporter(), False, lambda: False)
     labels = twice / "checkpoint/labels.safetensors"
+    said = io.StringIO()
+    solve = ExemplarPrior.solve
+    monkeypatch.setattr(ExemplarPrior, "solve", lambda *a: replace(solve(*a), notes=("look at the face",)))
     with pytest.raises(Interrupted):
         run(request, twice, Reporter(), False, labels.exists)
-    run(request, twice, Reporter(), True, lambda: False)
+    run(request, twice, Reporter(said), True, lambda: False)
+    assert "look at the face" in said.getvalue()
     assert load_inside_record(path) is not None
     for file in (path.name, inside_path(path).name, "cuts.png"):
         assert (once / file).read_bytes() == (twice / file).read_bytes(), file
