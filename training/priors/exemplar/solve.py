@@ -109,7 +109,7 @@ def solve(
             log.info("no picture goes on through the object: each is followed in its own plane, and mixed between")
             ball = BallMap.of(space)
             quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part), ball.height)
-            rgb = space.scatter(quilt.read(ball.to_ball(space.planar)))
+            rgb = space.scatter(quilt.read(ball.to_ball(space.planar), 1 / float(ball.skin.mean())))
             progress(0.8)
             sharpen(space, rgb, views)
             quilted = QuiltInside.of(space, ball, quilt, discs[POLAR], discs[RADIAL], seed)

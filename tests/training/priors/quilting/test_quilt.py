@@ -21,6 +21,7 @@ from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.agreement import disagreement, show_one_thing
 from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
+    PIXEL,
     BallMap,
     Disc,
     disc_grid,
@@ -99,6 +100,26 @@ def test_no_plane_cuts_a_bar_out_of_another() -> None:
         upright = np.stack([x, np.zeros_like(x), np.full_like(x, off)], -1).astype(np.float32)
         quilted_at = made.rinds.evened(upright)
         assert far_from(made.read(upright), radial.read(quilted_at[:, 0], quilted_at[:, 2])) < 0.1
+
+
+def test_what_one_plane_alone_shows_is_no_thicker_than_the_points_are_apart() -> None:
+    points = level(0)
+    points = points[np.abs(points[:, 1]) > 0.1]  # not where the radial picture is shown
+
+    def shown(height: float, footprint: float = PIXEL) -> NDArray[np.float32]:
+        return made.read(points + np.array([0, 0, height], np.float32), footprint)
+
+    def apart(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.floating]:
+        return np.linalg.norm(a - b, axis=1)
+
+    made = quilt_of(PAIRS[1])
+    own, above, below = (shown(height) for height in (0, 0.07, -0.07))
+    alone = (apart(own, above) > 0.25) & (apart(own, below) > 0.25)
+    for height, beside in ((0.012, above), (-0.012, below)):
+        for footprint, is_thick in ((PIXEL, False), (0.03, True)):
+            there = shown(height, footprint)
+            as_own = (apart(there, own) < apart(there, beside))[alone].mean()
+            assert as_own > 0.7 if is_thick else as_own < 0.5
 
 
 def test_tones_make_no_step_at_seams(monkeypatch: pytest.MonkeyPatch) -> None:

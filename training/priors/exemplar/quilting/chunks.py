@@ -153,6 +153,10 @@ class OwnHeight:
     def distance(self, ball: Ball) -> NDArray[np.float32]:
         return np.asarray(np.abs(ball.points[:, 2] - self.height))
 
+    def off(self, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M,) and (1, 3). How far points (M, 3) are above the plane, and its normal."""
+        return points[:, 2] - self.height, np.array([[0, 0, 1]], np.float32)
+
     def places(self, ball: Ball) -> Places:
         flat = np.stack([*ball.points[:, :2].T, np.full(len(ball.points), self.height)], -1)
         distance = self.distance(ball)
@@ -181,6 +185,14 @@ class OwnAzimuths:
 
     def distance(self, ball: Ball) -> NDArray[np.float32]:
         return self._nearest(ball)[2].astype(np.float32)
+
+    def off(self, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M,) and (M, 3). How far points (M, 3) are from the nearest plane, along its normal, and that normal."""
+        angles = np.arange(self.count) * np.pi / self.count
+        normals = np.stack([-np.sin(angles), np.cos(angles), np.zeros(self.count)], -1).astype(np.float32)
+        far = normals[:, :1] * points[:, 0] + normals[:, 1:2] * points[:, 1]
+        nearest = np.abs(far).argmin(0)
+        return np.take_along_axis(far, nearest[None], 0)[0], normals[nearest]
 
     def places(self, ball: Ball) -> Places:
         nearest, plane, off = self._nearest(ball)

@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 from engine.scene.inside import InsideRecord
 from engine.threads import side_by_side
 from training.priors.exemplar.frames import Space
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, BallMap, Disc
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, BallMap, Disc
 from training.priors.exemplar.quilting.kinds import QuiltKinds
 from training.priors.exemplar.quilting.quilt import BLOCK, Quilt, restore_quilt
 from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 
 __all__ = ["QUILT", "QuiltInside"]
 
-QUILT = "quilt 4"
-"""Kind of the record. A plain "quilt" and a "quilt 2" had the same arrays but were other insides, from which their
-atoms were made."""
+QUILT = "quilt 5"
+"""Kind of the record. Earlier kinds had the same arrays but were other insides, from which their atoms were made."""
 
 COARSEST = 16
 """How many times larger than a disc's pixels those of its coarsest version are: a power of two that divides
@@ -67,7 +66,12 @@ class QuiltInside:
     @property
     def detail(self) -> float:
         """World units. See `engine.scene.inside.Inside`."""
-        return 2 * REACH / DISC_PIXELS * float(self.ball.skin.mean()) * self.cell
+        return PIXEL * self._radius
+
+    @property
+    def _radius(self) -> float:
+        """World units. A radius of the ball, as far as the body is one."""
+        return float(self.ball.skin.mean()) * self.cell
 
     def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
         """(N, 3). See `engine.scene.inside.Inside`."""
@@ -76,7 +80,7 @@ class QuiltInside:
             n *= 2
         if n not in self._reduced:
             self._reduced[n] = self.quilt.reduced(n) if n > 1 else self.quilt
-        return self._reduced[n].read(self.ball.to_ball(self._planar(points)))
+        return self._reduced[n].read(self.ball.to_ball(self._planar(points)), footprint / self._radius)
 
     def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
         """(N,). See `engine.scene.inside.Inside`."""

@@ -33,6 +33,7 @@ from training.priors.exemplar.quilting.chunks import (
 )
 from training.priors.exemplar.quilting.disc import (
     ALIKE,
+    PIXEL,
     Disc,
     match_light,
     read_map,
@@ -72,12 +73,16 @@ a closed thing costs the seams of its ends, and flesh none. A third of the large
 TONE_BLEND = 0.04
 """Standard deviation in radii over which the tones of two chunks blend at their seam."""
 
-OWN_WEIGHT, OWN_ALONE = 4.0, 0.015
-"""Further weight of a picture's tones in its own plane, and distance in radii from it within which they alone count:
-less than to the nearest seam, so that none shows."""
+OWN_WEIGHT, OWN_ALONE, OWN_REACH = 4.0, 0.015, 0.04
+"""Further weight of a picture's tones in its own plane; distance in radii from it over which they cease to be the only
+ones, so that no step of tones shows there; and from where nothing of that is left."""
 
 CROSSING = 2
 """Cells from own planes of both families within which the nearer plane is shown."""
+
+FILM_SEAM, FILM_REACH = 1.3, 3.0
+"""Cells from an own plane at which the seam of a film of two cells ends (SEAM_WIDTH), and up to which labels are moved
+towards the plane as the film becomes thinner. With 2.3 and 5.0, what ends near the plane ends at a straight line."""
 
 SEAM_COST = 0.0075
 """Weight of a seam over the width of a cell in radii."""
@@ -123,24 +128,52 @@ class Quilt:
     packing: Packing | None
     """Packing of these things, if there are any."""
 
-    def read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1]."""
+    def read(self, points: NDArray[np.float32], footprint: float = PIXEL) -> NDArray[np.float32]:
+        """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1].
+
+        `footprint`: distance between neighbouring points in radii, which is how thick an own plane is where it shows
+        what is not beside it.
+        """
         blocks = [points[start : start + BLOCK] for start in range(0, len(points), BLOCK)]
-        found = side_by_side(lambda block: self.read_evened(self.rinds.evened(block)), blocks)
+        found = side_by_side(lambda block: self.read_evened(self.rinds.evened(block), footprint), blocks)
         return np.concatenate([np.empty((0, 3), np.float32), *found])
 
-    def nearest(self, points: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    def nearest(self, points: NDArray[np.float32], footprint: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """(M, 2) and (M,). The two labels nearest to points (M, 3), and how far the first one leads, 0 to 1."""
-        best, shares = two_nearest(self.chosen, self.number, _in_cells(points, LEVELS[-1]), len(self.labels))
+        return self._nearest(points, self._off(points), footprint)
+
+    def _off(self, points: NDArray[np.float32]) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """How points (M, 3) lie off the own planes of each label that has some, and the normals of these."""
+        chunks = [label.chunks for label in self.labels]
+        return [own.off(points) for own in chunks if isinstance(own, OwnHeight | OwnAzimuths)]
+
+    def _nearest(
+        self, points: NDArray[np.float32], off: list[tuple[NDArray[np.float32], NDArray[np.float32]]], footprint: float
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """(M, 2) and (M,). As `nearest`, for points (M, 3) that lie so off own planes.
+
+        An own plane that shows what is not beside it is a film of two cells, which is a bar in cuts across it. Labels
+        are looked up where it is as thin as the footprint.
+        """
+        there, cell = points.copy(), 2 / LEVELS[-1]
+        film = min(max(footprint, PIXEL) / 2, cell)
+        ends = np.array([0, FILM_SEAM * film, FILM_REACH * cell])
+        for far, normals in off:
+            rows = np.flatnonzero(np.abs(far) < ends[-1])
+            distance = np.abs(far[rows])
+            moved = np.interp(distance, ends, [0, FILM_SEAM * cell, ends[-1]]) - distance
+            there[rows] += (np.sign(far[rows]) * moved)[:, None] * (normals if len(normals) == 1 else normals[rows])
+        best, shares = two_nearest(self.chosen, self.number, _in_cells(there, LEVELS[-1]), len(self.labels))
         apart = shares[:, 0] - shares[:, 1]
-        self._share_crossing(best, apart, points)
+        self._share_crossing(best, apart, [np.abs(far) for far, _ in off])
         return best, apart
 
-    def read_evened(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+    def read_evened(self, points: NDArray[np.float32], footprint: float = PIXEL) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the quilt, whose rind is as thick as in all pictures (`Rinds.evened`)."""
-        best, apart = self.nearest(points)
+        off = self._off(points)
+        best, apart = self._nearest(points, off, footprint)
         weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
-        tones = read_trilinear(self.tones, _in_cells(points, LEVELS[-1]))
+        tones = self._tones(points, [np.abs(far) for far, _ in off])
         second = np.flatnonzero(weight < 1)
         both = np.concatenate([best[:, 0], best[second, 1]])
         rows = np.concatenate([np.arange(len(points)), second])
@@ -165,10 +198,20 @@ class Quilt:
         field = self.textures[label.is_horizontal]
         rgb = label.read(places, crossing, field.at(ball), field.thickness)
         moved = tones - label.read_tones(places, crossing)
-        moved *= np.exp(-np.square(moved).sum(-1, keepdims=True) / (2 * ALIKE**2))
-        if label.is_own:
-            moved *= 1 - np.exp(-np.square(places.distance / OWN_ALONE))[:, None]
+        moved *= np.exp(-np.square(np.square(moved).sum(-1, keepdims=True) / (2 * ALIKE**2)))
         return rgb + moved
+
+    def _tones(self, points: NDArray[np.float32], distances: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """(M, 3). The tones around points (M, 3) that are at distances (M,) from each label's own planes."""
+        tones = read_trilinear(self.tones, _in_cells(points, LEVELS[-1]))
+        own = [label for label in self.labels if label.is_own]
+        for label, distance in zip(own, distances, strict=True):
+            rows = np.flatnonzero(distance < OWN_REACH)
+            ball = Ball.of(points[rows])
+            there = label.read_tones(label.chunks.places(ball), distance_across(self.labels, label, ball))
+            alone = np.exp(-np.square(distance[rows] / OWN_ALONE))[:, None]
+            tones[rows] += alone * (there - tones[rows])
+        return tones
 
     @cached_property
     def cores(self) -> Cores | None:
@@ -184,19 +227,20 @@ class Quilt:
         packing = None if self.packing is None else self.packing.reduced(things)
         return replace(self, labels=labels, textures=textures, packing=packing, things=things)
 
-    def _share_crossing(self, best: NDArray[np.int32], apart: NDArray[np.float32], points: NDArray[np.float32]) -> None:
-        """Gives points (M, 3) close to own planes of both families to the nearer plane: decided by cells, one plane
-        would cut a bar out of the other. Changes the two nearest labels (M, 2) and how far the first one leads (M,)."""
+    def _share_crossing(
+        self, best: NDArray[np.int32], apart: NDArray[np.float32], distances: list[NDArray[np.float32]]
+    ) -> None:
+        """Gives points at distances (M,) close to own planes of both families to the nearer plane: decided by cells,
+        one plane would cut a bar out of the other. Changes the two nearest labels (M, 2) and how far the first one
+        leads (M,)."""
         own = np.array([n for n, label in enumerate(self.labels) if label.is_own], np.int32)
         if len(own) < 2:
             return
-        rows = np.flatnonzero(np.isin(best[:, 0], own))
-        ball = Ball.of(points[rows])
-        distances = np.stack([self.labels[n].chunks.distance(ball) for n in own])
-        both = distances.max(0) < CROSSING * 2 / LEVELS[-1]
-        order = distances[:, both].argsort(0)
-        nearer, farther = np.take_along_axis(distances[:, both], order, 0)
-        best[rows[both]], apart[rows[both]] = own[order].T, (farther - nearer) / (farther + nearer + 1e-9)
+        rows = np.flatnonzero(np.isin(best[:, 0], own) & (np.maximum(*distances) < CROSSING * 2 / LEVELS[-1]))
+        both = np.stack([distance[rows] for distance in distances])
+        order = both.argsort(0)
+        nearer, farther = np.take_along_axis(both, order, 0)
+        best[rows], apart[rows] = own[order].T, (farther - nearer) / (farther + nearer + 1e-9)
 
 
 def make_quilt(
