@@ -41,7 +41,10 @@ from training.priors.exemplar.quilting.agreement import show_one_thing
 from training.priors.exemplar.quilting.disc import Disc
 from training.settings import DETAILS
 
-TINY = replace(DETAILS["draft"], cells=16, fine=20, voxels=24, label=32, surface=32, surface_views=6, iterations=4)
+TINY = replace(
+    DETAILS["draft"], cells=16, fine=20, voxels=24, label=32, surface=32, surface_views=6, iterations=4,
+    skin_views=6, skin_steps=2, skin_size=48,
+)  # fmt: skip
 
 
 def test_distances_of_a_set_to_itself():
