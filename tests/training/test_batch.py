@@ -20,8 +20,9 @@ import pytest
 
 from engine.errors import InputError
 from tests.helpers.workers.batch_worker import SMALL
+from tests.helpers.workers.plain_functions import double, fail, fail_at_first, wait_until_stopped
 from tests.paths import HELPERS, SAMPLES, SLICE
-from training.batch import Outcome, Task, TaskStopped, report, run_grid, should_stop
+from training.batch import Outcome, Task, run_grid, should_stop
 from training.batch.cli import main
 from training.batch.cluster import cluster_client, deferred_signals
 from training.batch.manifest import read_manifest
@@ -189,30 +190,6 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             process.wait(20)
 
 
-def double(value: int) -> dict[str, int]:
-    report({"event": "progress", "part": 0.5})
-    return {"twice": 2 * value}
-
-
-def fail_at_first(mark: Path) -> dict[str, int]:
-    if not mark.exists():
-        mark.touch()
-        raise KeyError("first")
-    return {}
-
-
-def fail() -> dict[str, int]:
-    raise ZeroDivisionError("always\nso")
-
-
-def wait_until_stopped() -> dict[str, int]:
-    for _ in range(600):
-        if should_stop():
-            raise TaskStopped
-        time.sleep(0.05)
-    return {}
-
-
 def test_a_grid_of_plain_functions(tmp_path: Path, address: str) -> None:
     def task(name: str, function, **arguments) -> Task:
         return Task(name, function, arguments, tmp_path / f"{name}.json", name)
@@ -227,7 +204,7 @@ def test_a_grid_of_plain_functions(tmp_path: Path, address: str) -> None:
     outcomes = run_grid(tasks, lambda _, line: lines.append(line), lambda: False, scheduler=address)
     assert [(o.status, o.attempts) for o in outcomes] == [("done", 1), ("done", 2), ("failed", 2), ("done", 1)]
     assert outcomes[0].facts == {"twice": 8}
-    assert outcomes[2].error.startswith("ZeroDivisionError: always so (test_batch.py:")
+    assert outcomes[2].error.startswith("ZeroDivisionError: always so (plain_functions.py:")
     assert json.loads((tmp_path / "double.json").read_text())["facts"] == {"twice": 8}
     assert not (tmp_path / "fail.json").exists()
     # A second run does only what is not done: another fingerprint or a broken file counts as not done.
