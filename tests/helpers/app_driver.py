@@ -15,6 +15,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from numpy.typing import NDArray
 from PIL import Image
 
+from app.model.measure import extent
 from app.session.session import Session
 from app.ui.window import Window
 
@@ -109,7 +110,7 @@ class Driver:
         picture = self.between_frames(self._read)
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(picture).save(path)
+            Image.fromarray(picture).save(path, compress_level=1)
         return picture
 
     def view(self) -> NDArray[np.uint8]:
@@ -161,6 +162,7 @@ def drive(
     `start` is called in the window once it exists, `prepare` before.
     """
     os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")
+    extent.CELLS = 32  # volumes are measured in the background; no script checks their digits
     window = Window(session, start)
     failures: list[BaseException] = []
     params = window.params
