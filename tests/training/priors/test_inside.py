@@ -12,10 +12,11 @@ import pytest
 
 from engine.errors import InputError
 from engine.io.trained import Meta, inside_path, load_inside_record, save_trained
-from tests.helpers.exemplar_faces import UP, ball
+from tests.helpers.exemplar_faces import UP, ball, save
 from tests.helpers.solids import ball as atoms_of_a_ball
 from tests.helpers.workers.batch_worker import SMALL
 from tests.paths import SAMPLES
+from tests.training.priors.quilting.test_grains import drawn, laid_out
 from training.events import Reporter
 from training.families import Family
 from training.pipeline import run
@@ -23,7 +24,7 @@ from training.priors.exemplar import ExemplarPrior
 from training.priors.exemplar.frames import make_space
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, BallMap, Disc, disc_grid
-from training.priors.exemplar.quilting.inside import QuiltInside
+from training.priors.exemplar.quilting.inside import QUILT, QuiltInside
 from training.priors.exemplar.quilting.quilt import make_quilt
 from training.priors.inside_file import read_inside, restore_inside
 from training.request import Interrupted, Request
@@ -152,10 +153,9 @@ def test_a_run_keeps_it_and_resumes_to_the_same(tmp_path: Path, monkeypatch: pyt
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
     monkeypatch.setattr("training.priors.exemplar.quilting.quilt.LEVELS", (16,))
-    families = (
-        Family("horizontal", 2, (SAMPLES / "watermelon/horizontal_1.png",)),
-        Family("radial", 2, (SAMPLES / "orange/radial_1.png",)),
-    )
+    x, y = disc_grid()
+    grains = np.where((np.hypot(x, y) < 1)[..., None], drawn(laid_out(0.15), 0.07).rgb, 1)
+    families = (Family("radial", 2, (save(tmp_path / "grains.png", grains),)),)
     request = Request(SAMPLES / "watermelon/watermelon.ply", families, "draft", (0.0, 0.0, 1.0))
     once, twice = tmp_path / "once", tmp_path / "twice"
     path = run(request, once, Reporter(), False, lambda: False)
@@ -167,6 +167,7 @@ def test_a_run_keeps_it_and_resumes_to_the_same(tmp_path: Path, monkeypatch: pyt
         run(request, twice, Reporter(), False, labels.exists)
     run(request, twice, Reporter(said), True, lambda: False)
     assert "look at the face" in said.getvalue()
-    assert load_inside_record(path) is not None
+    record = load_inside_record(path)
+    assert record is not None and record[1]["kind"] == QUILT
     for file in (path.name, inside_path(path).name, "cuts.png"):
         assert (once / file).read_bytes() == (twice / file).read_bytes(), file
