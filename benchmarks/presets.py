@@ -51,9 +51,7 @@ def settings() -> dict[str, tuple[Detail, float]]:
     runs: dict[str, tuple[Detail, float]] = {name: (detail, 1.0) for name, detail in DETAILS.items()}
     draft, standard = DETAILS["draft"], DETAILS["standard"]
     turned = {
-        "label": [draft.label * 5 // 8, draft.label * 3 // 2],
         "voxels": [draft.voxels * 5 // 7, draft.voxels * 3 // 2],
-        "iterations": [draft.iterations // 4],  # more change nothing: the stop rule ends draft before
         "fine": [draft.fine * 2 // 3, draft.fine * 3 // 2],
     }
     for knob, values in turned.items():

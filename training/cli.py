@@ -94,7 +94,10 @@ def train(
     thing: Annotated[
         str | None, typer.Option("--object", help="What the object is, for priors that read: watermelon.")
     ] = None,
-    iterations: Annotated[int | None, typer.Option(min=0, help="Most training iterations.")] = None,
+    iterations: Annotated[
+        int | None,
+        typer.Option(min=0, help="Most training iterations. Unless given, none where pictures tell all colours."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_INTEGER, help="The same seed gives the same result.")] = 0,
     compact: Annotated[
         bool, typer.Option("--compact", help="The result as .spz, a tenth of a .ply's size, in place of the .ply.")

@@ -74,7 +74,7 @@ class Request:
     """None: detected."""
     seed: int = 0
     iterations: int | None = None
-    """Most iterations; None: as the detail says."""
+    """Most iterations; None: as the detail says, or none where the inside is known as a function."""
     prior: PriorName = "exemplar"
     model: Path | None = None
     """Folder of the diffusion model, for `stable-diffusion`."""

@@ -67,10 +67,6 @@ def save_results(
         before, after = (surface_psnr(geometry, version) for version in (start, atoms))
     report = {
         **facts,
-        "views": {
-            kind: sum(view.family.kind == kind for view in trainer.sections)
-            for kind in dict.fromkeys(view.family.kind for view in trainer.sections)
-        },
         "iterations": trainer.iteration,
         "refinement_rounds": len(history["disagreeing"]),
         "ended": history["ended"],

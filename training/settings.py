@@ -29,7 +29,7 @@ class Detail:
     surface_views: int
     """Surface views of the input that training draws from."""
     iterations: int
-    """Most iterations of a run; the stop rule may end it sooner."""
+    """Most iterations of a run that trains; the stop rule may end it sooner."""
     skin_views: int
     """Views of the capture that the skin is fitted to."""
     skin_steps: int

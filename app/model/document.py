@@ -124,7 +124,7 @@ class Training:
     prior: PriorName = "exemplar"
     seed: int = 0
     iterations: int | None = None
-    """Most iterations; None: the default of the detail."""
+    """Most iterations; None: as in `training.request.Request`."""
     out: Path | None = None
     """Result folder; None: beside the scene."""
     model: Path | None = None

@@ -51,6 +51,7 @@ REQUEST = Request(
     (Family("parallel", 4, (SLICE,)),),
     detail="draft",
     up=(0.0, 0.0, 1.0),
+    iterations=2,
 )
 RGBA = np.random.default_rng(0).integers(0, 255, (12, 16, 4), dtype=np.uint8)
 FACTS = {"psnr_db": 20.0, "sharpness": 0.9, "seconds": 1.0, "peak_mb": 1.0}

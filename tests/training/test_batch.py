@@ -45,6 +45,7 @@ exemplar = {{ parallel = ["{SLICE}"] }}
 name = "killed"
 scene = "{SCENES}/orange/orange.ply"
 detail = "standard"
+iterations = 30
 
 [[scene]]
 scene = "broken.ply"
@@ -135,7 +136,8 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
 @pytest.mark.slow
 def test_a_disk_that_was_full_costs_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     manifest, out = tmp_path / "all.toml", tmp_path / "out"
-    manifest.write_text(MANIFEST.partition("[[scene]]")[0] + f'[[scene]]\nscene = "{SCENES}/orange/orange.ply"\n')
+    scene = f'[[scene]]\nscene = "{SCENES}/orange/orange.ply"\niterations = 2\n'
+    manifest.write_text(MANIFEST.partition("[[scene]]")[0] + scene)
     message = command(manifest, out, preload=(WORKER, WORKER.with_name("full_disk_worker.py"))).communicate()[1]
     lines = message.splitlines()
     assert len(lines) == 2 and "Traceback" not in message

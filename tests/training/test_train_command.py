@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,11 +19,13 @@ from PIL import Image
 import training.settings
 from engine.io.load import load
 from engine.io.trained import load_trained
+from engine.render.cpu.kernel_field import KernelField
 from tests.paths import SAMPLES, SLICE
 from training import cli
 from training.events import Reporter
 from training.families import Family
 from training.pipeline import run
+from training.priors.inside_file import read_inside
 from training.request import Interrupted, Request
 from training.settings import Detail
 
@@ -36,6 +39,7 @@ REQUEST = Request(
     (Family("parallel", 8, (SLICE,)),),
     detail="draft",
     up=(0.0, 0.0, 1.0),
+    iterations=9,
 )
 SHEET_TILE, PICTURE, BODY = 48, 192, 32
 """Pixels along a tile of the contact sheet and along a photograph, and cells across the body: at full size these would
@@ -59,6 +63,7 @@ main()
 ARGUMENTS = [
     str(SCENE / "watermelon.ply"),
     *("--exemplar", f"parallel={SLICE}", "--family", "parallel:8", "--detail", "draft", "--up", "z"),
+    *("--iterations", "9"),
 ]
 
 
@@ -99,6 +104,19 @@ def test_a_run_leaves_a_solid_a_sheet_and_a_report(whole):
     deep = np.linalg.norm(atoms.interior.means, axis=1) < 0.4
     red, green, _ = atoms.interior.rgb[deep].mean(0)
     assert red > 1.5 * green
+
+
+def test_nothing_is_trained_where_the_inside_is_known(tmp_path):
+    solid = run(replace(REQUEST, iterations=None), tmp_path, Reporter(), False, lambda: False)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["iterations"] == 0 and "nothing to train" in report["ended"]
+    assert report["views"] == {"parallel": 8} and len(list((tmp_path / "previews").iterdir())) == 2
+    atoms, _ = load_trained(solid)
+    inside = read_inside(solid)
+    assert inside is not None
+    deep = atoms.interior.means[np.linalg.norm(atoms.interior.means, axis=1) < 0.6]
+    rgb, _ = KernelField(atoms).at(deep, atoms.pitch)
+    assert np.abs(rgb - inside.at(deep, atoms.pitch)).mean() < 0.03
 
 
 def holds(said: io.StringIO, words: str) -> bool:

@@ -18,8 +18,9 @@ from training.labels import refine_labels
 from training.optimise.trainer import Losses, Trainer
 from training.priors.prior import Denoiser, VolumeSolver
 from training.request import Interrupted, Request
+from training.views import Slice
 
-__all__ = ["train"]
+__all__ = ["previewed", "save_previews", "train"]
 
 # Loss (0.3 MSE + 0.7 (1 - SSIM)) below which a section agrees with its label: the blur of atoms at standard detail
 # stays below it, two labels that disagree about a seed do not. The paper gives no threshold.
@@ -119,14 +120,22 @@ def report_step(stage: Stage, trainer: Trainer, losses: Losses, limit: int) -> N
     )
 
 
+def previewed(views: Sequence[Slice]) -> list[int]:
+    """Numbers of the views that previews show: two of each family."""
+    shown = []
+    for kind in dict.fromkeys(view.family.kind for view in views):
+        indices = [index for index, view in enumerate(views) if view.family.kind == kind]
+        shown += sorted({indices[len(indices) // 4], indices[len(indices) // 2]})
+    return shown
+
+
 def save_previews(trainer: Trainer, labels: Sequence[Tensor], out: Path, reporter: Reporter) -> None:
-    """Writes labels beside their renders, for two planes of each family."""
+    """Writes labels beside their renders."""
     paths = []
-    for kind in dict.fromkeys(view.family.kind for view in trainer.sections):
-        indices = [index for index, view in enumerate(trainer.sections) if view.family.kind == kind]
-        for index in sorted({indices[len(indices) // 4], indices[len(indices) // 2]}):
-            pair = np.concatenate([labels[index].numpy(), trainer.render(trainer.sections[index])], axis=1)
-            path = out / "previews" / f"{kind}_{index:03d}.png"
-            save_png(path, pair)
-            paths.append(path)
+    for index in previewed(trainer.sections):
+        section = trainer.sections[index]
+        pair = np.concatenate([labels[index].numpy(), trainer.render(section)], axis=1)
+        path = out / "previews" / f"{section.family.kind}_{index:03d}.png"
+        save_png(path, pair)
+        paths.append(path)
     reporter.emit("previews", paths=paths)

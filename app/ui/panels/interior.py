@@ -323,7 +323,8 @@ class InteriorPanel:
             self._change_training(_("Seed"), replace(training, seed=min(max(0, seed), 2**31 - 1)), merge="seed")
         tooltip(_("The same seed gives the same inside"))
         row_label(_("Iterations"), 84)
-        most = training.iterations if training.iterations is not None else DETAILS[training.detail].iterations
+        usual = 0 if training.prior == "exemplar" else DETAILS[training.detail].iterations
+        most = usual if training.iterations is None else training.iterations
         changed, most = imgui.input_int("##iterations", most, 10)
         if changed:
             self._change_training(

@@ -14,7 +14,7 @@ SIZES = {
     "skin_views": 6, "skin_steps": 2, "skin_size": 48,
 }  # fmt: skip
 SHORT = replace(settings.DETAILS["draft"], **SIZES)
-DETAILS = {"draft": SHORT, "standard": replace(SHORT, iterations=30)}
+DETAILS = {"draft": SHORT, "standard": SHORT}
 
 SMALL = {
     "training.request.DETAILS": DETAILS,

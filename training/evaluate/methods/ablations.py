@@ -177,6 +177,8 @@ class Translucent(Trainer):
 class WithoutOpacification(Pipeline):
     """Translucent atoms in training."""
 
+    trains = True
+
     def make_trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
         """A trainer whose cut faces are alpha-blended."""
         return Translucent(atoms, faces, surfaces, self.request.seed)

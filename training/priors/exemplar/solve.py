@@ -39,7 +39,7 @@ from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, read_picture, resolved_share
 from training.priors.exemplar.quilting.agreement import show_one_thing
 from training.priors.exemplar.quilting.disc import BallMap, Disc
-from training.priors.exemplar.quilting.inside import QuiltInside
+from training.priors.exemplar.quilting.inside import FILM, QuiltInside
 from training.priors.exemplar.quilting.labels import made_of_grains
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.quilt import make_quilt
@@ -109,7 +109,7 @@ def solve(
             log.info("no picture goes on through the object: each is followed in its own plane, and mixed between")
             ball = BallMap.of(space)
             quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part), ball.height)
-            rgb = space.scatter(quilt.read(ball.to_ball(space.planar), 1 / float(ball.skin.mean())))
+            rgb = space.scatter(quilt.read(ball.to_ball(space.planar), (1 + FILM) / float(ball.skin.mean())))
             progress(0.8)
             sharpen(space, rgb, views)
             quilted = QuiltInside.of(space, ball, quilt, discs[POLAR], discs[RADIAL], seed)

@@ -102,12 +102,12 @@ def test_no_plane_cuts_a_bar_out_of_another() -> None:
         assert far_from(made.read(upright), radial.read(quilted_at[:, 0], quilted_at[:, 2])) < 0.1
 
 
-def test_what_one_plane_alone_shows_is_no_thicker_than_the_points_are_apart() -> None:
+def test_what_one_plane_alone_shows_is_as_thin_as_asked_for() -> None:
     points = level(0)
     points = points[np.abs(points[:, 1]) > 0.1]  # not where the radial picture is shown
 
-    def shown(height: float, footprint: float = PIXEL) -> NDArray[np.float32]:
-        return made.read(points + np.array([0, 0, height], np.float32), footprint)
+    def shown(height: float, film: float = PIXEL) -> NDArray[np.float32]:
+        return made.read(points + np.array([0, 0, height], np.float32), film)
 
     def apart(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.floating]:
         return np.linalg.norm(a - b, axis=1)
@@ -116,8 +116,8 @@ def test_what_one_plane_alone_shows_is_no_thicker_than_the_points_are_apart() ->
     own, above, below = (shown(height) for height in (0, 0.07, -0.07))
     alone = (apart(own, above) > 0.25) & (apart(own, below) > 0.25)
     for height, beside in ((0.012, above), (-0.012, below)):
-        for footprint, is_thick in ((PIXEL, False), (0.03, True)):
-            there = shown(height, footprint)
+        for film, is_thick in ((PIXEL, False), (0.05, True)):
+            there = shown(height, film)
             as_own = (apart(there, own) < apart(there, beside))[alone].mean()
             assert as_own > 0.7 if is_thick else as_own < 0.5
 

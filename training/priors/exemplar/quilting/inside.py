@@ -18,7 +18,7 @@ from training.priors.exemplar.quilting.kinds import QuiltKinds
 from training.priors.exemplar.quilting.quilt import BLOCK, Quilt, restore_quilt
 from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 
-__all__ = ["QUILT", "QuiltInside"]
+__all__ = ["FILM", "QUILT", "QuiltInside"]
 
 QUILT = "quilt 5"
 """Kind of the record. Earlier kinds had the same arrays but were other insides, from which their atoms were made."""
@@ -26,6 +26,12 @@ QUILT = "quilt 5"
 COARSEST = 16
 """How many times larger than a disc's pixels those of its coarsest version are: a power of two that divides
 DISC_PIXELS."""
+
+FILM = 1.5
+"""Cells by which own planes are thicker than the footprint where they show what is not beside them: they show it in full
+within half a cell, which is how exactly half way up an object is known. Cuts half a cell beside the horizontal picture's
+plane, of two pairs of pomegranates, have an SSIM with it of 0.78 and 0.86 with 0 cells, 0.85 and 0.90 with 1.5, and at
+most 0.87 and 0.91."""
 
 FAMILIES = "horizontal", "radial"
 """Names of the arrays that hold the pictures."""
@@ -80,7 +86,9 @@ class QuiltInside:
             n *= 2
         if n not in self._reduced:
             self._reduced[n] = self.quilt.reduced(n) if n > 1 else self.quilt
-        return self._reduced[n].read(self.ball.to_ball(self._planar(points)), footprint / self._radius)
+        return self._reduced[n].read(
+            self.ball.to_ball(self._planar(points)), (footprint + FILM * self.cell) / self._radius
+        )
 
     def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
         """(N,). See `engine.scene.inside.Inside`."""

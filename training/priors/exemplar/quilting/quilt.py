@@ -128,19 +128,18 @@ class Quilt:
     packing: Packing | None
     """Packing of these things, if there are any."""
 
-    def read(self, points: NDArray[np.float32], footprint: float = PIXEL) -> NDArray[np.float32]:
+    def read(self, points: NDArray[np.float32], film: float = PIXEL) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1].
 
-        `footprint`: distance between neighbouring points in radii, which is how thick an own plane is where it shows
-        what is not beside it.
+        `film`: thickness in radii of own planes where they show what is not beside them.
         """
         blocks = [points[start : start + BLOCK] for start in range(0, len(points), BLOCK)]
-        found = side_by_side(lambda block: self.read_evened(self.rinds.evened(block), footprint), blocks)
+        found = side_by_side(lambda block: self.read_evened(self.rinds.evened(block), film), blocks)
         return np.concatenate([np.empty((0, 3), np.float32), *found])
 
-    def nearest(self, points: NDArray[np.float32], footprint: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    def nearest(self, points: NDArray[np.float32], film: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """(M, 2) and (M,). The two labels nearest to points (M, 3), and how far the first one leads, 0 to 1."""
-        return self._nearest(points, self._off(points), footprint)
+        return self._nearest(points, self._off(points), film)
 
     def _off(self, points: NDArray[np.float32]) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
         """How points (M, 3) lie off the own planes of each label that has some, and the normals of these."""
@@ -148,16 +147,16 @@ class Quilt:
         return [own.off(points) for own in chunks if isinstance(own, OwnHeight | OwnAzimuths)]
 
     def _nearest(
-        self, points: NDArray[np.float32], off: list[tuple[NDArray[np.float32], NDArray[np.float32]]], footprint: float
+        self, points: NDArray[np.float32], off: list[tuple[NDArray[np.float32], NDArray[np.float32]]], film: float
     ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """(M, 2) and (M,). As `nearest`, for points (M, 3) that lie so off own planes.
 
         An own plane that shows what is not beside it is a film of two cells, which is a bar in cuts across it. Labels
-        are looked up where it is as thin as the footprint.
+        are looked up where it is as thin as `film`, at least a pixel.
         """
         there, cell = points.copy(), 2 / LEVELS[-1]
-        film = min(max(footprint, PIXEL) / 2, cell)
-        ends = np.array([0, FILM_SEAM * film, FILM_REACH * cell])
+        half = min(max(film, PIXEL) / 2, cell)
+        ends = np.array([0, FILM_SEAM * half, FILM_REACH * cell])
         for far, normals in off:
             rows = np.flatnonzero(np.abs(far) < ends[-1])
             distance = np.abs(far[rows])
@@ -168,10 +167,10 @@ class Quilt:
         self._share_crossing(best, apart, [np.abs(far) for far, _ in off])
         return best, apart
 
-    def read_evened(self, points: NDArray[np.float32], footprint: float = PIXEL) -> NDArray[np.float32]:
+    def read_evened(self, points: NDArray[np.float32], film: float = PIXEL) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the quilt, whose rind is as thick as in all pictures (`Rinds.evened`)."""
         off = self._off(points)
-        best, apart = self._nearest(points, off, footprint)
+        best, apart = self._nearest(points, off, film)
         weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
         tones = self._tones(points, [np.abs(far) for far, _ in off])
         second = np.flatnonzero(weight < 1)
