@@ -133,7 +133,7 @@ def take(detail: DetailName, theme: Literal["dark", "light"], only: str) -> None
             cut = session.document.cuts[0]
             tilt(session, cut.id)
             session.training.start()
-            driver.until(lambda: busy_training(session), 3600, "training with curves and pictures")
+            driver.until(lambda: busy_training(session), 3600, "training with pictures")
             session.active_cut = None  # its numbers would push the training's pictures out of the panel
             shot("4_training")
             driver.until(lambda: session.object is not None and session.object.trained, 3600, "the end of training")
@@ -164,11 +164,10 @@ def take(detail: DetailName, theme: Literal["dark", "light"], only: str) -> None
 
 
 def busy_training(session: Session) -> bool:
-    """Whether the training has something to show: a curve, label pictures, colours."""
+    """Whether the training has something to show: label pictures, colours."""
     job = session.training.job
     assert job is not None and job.phase in ("running", "done"), session.error
-    progress = job.progress
-    return len(progress.section) >= 6 and bool(progress.previews) and session.colour_version > 0
+    return bool(job.progress.previews) and session.colour_version > 0
 
 
 def tilt(session: Session, cut_id: int) -> None:

@@ -38,6 +38,7 @@ from training.priors.exemplar.quilting.disc import (
     match_light,
     read_map,
 )
+from training.priors.exemplar.quilting.films import Beside
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across
 from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
@@ -76,13 +77,6 @@ TONE_BLEND = 0.04
 OWN_WEIGHT, OWN_ALONE, OWN_REACH = 4.0, 0.015, 0.04
 """Further weight of a picture's tones in its own plane; distance in radii from it over which they cease to be the only
 ones, so that no step of tones shows there; and from where nothing of that is left."""
-
-CROSSING = 2
-"""Cells from own planes of both families within which the nearer plane is shown."""
-
-FILM_SEAM, FILM_REACH = 1.3, 3.0
-"""Cells from an own plane at which the seam of a film of two cells ends (SEAM_WIDTH), and up to which labels are moved
-towards the plane as the film becomes thinner. With 2.3 and 5.0, what ends near the plane ends at a straight line."""
 
 SEAM_COST = 0.0075
 """Weight of a seam over the width of a cell in radii."""
@@ -139,40 +133,25 @@ class Quilt:
 
     def nearest(self, points: NDArray[np.float32], film: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """(M, 2) and (M,). The two labels nearest to points (M, 3), and how far the first one leads, 0 to 1."""
-        return self._nearest(points, self._off(points), film)
-
-    def _off(self, points: NDArray[np.float32]) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """How points (M, 3) lie off the own planes of each label that has some, and the normals of these."""
-        chunks = [label.chunks for label in self.labels]
-        return [own.off(points) for own in chunks if isinstance(own, OwnHeight | OwnAzimuths)]
+        return self._nearest(points, Beside.of(self.labels, points), film)
 
     def _nearest(
-        self, points: NDArray[np.float32], off: list[tuple[NDArray[np.float32], NDArray[np.float32]]], film: float
+        self, points: NDArray[np.float32], beside: Beside, film: float
     ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """(M, 2) and (M,). As `nearest`, for points (M, 3) that lie so off own planes.
-
-        An own plane that shows what is not beside it is a film of two cells, which is a bar in cuts across it. Labels
-        are looked up where it is as thin as `film`, at least a pixel.
-        """
-        there, cell = points.copy(), 2 / LEVELS[-1]
-        half = min(max(film, PIXEL) / 2, cell)
-        ends = np.array([0, FILM_SEAM * half, FILM_REACH * cell])
-        for far, normals in off:
-            rows = np.flatnonzero(np.abs(far) < ends[-1])
-            distance = np.abs(far[rows])
-            moved = np.interp(distance, ends, [0, FILM_SEAM * cell, ends[-1]]) - distance
-            there[rows] += (np.sign(far[rows]) * moved)[:, None] * (normals if len(normals) == 1 else normals[rows])
-        best, shares = two_nearest(self.chosen, self.number, _in_cells(there, LEVELS[-1]), len(self.labels))
+        """(M, 2) and (M,). As `nearest`, for points (M, 3) that lie so beside own planes."""
+        cell = 2 / LEVELS[-1]
+        at = _in_cells(beside.beyond_films(points, film, cell), LEVELS[-1])
+        best, shares = two_nearest(self.chosen, self.number, at, len(self.labels))
         apart = shares[:, 0] - shares[:, 1]
-        self._share_crossing(best, apart, [np.abs(far) for far, _ in off])
+        beside.share_crossing(best, apart, cell)
         return best, apart
 
     def read_evened(self, points: NDArray[np.float32], film: float = PIXEL) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the quilt, whose rind is as thick as in all pictures (`Rinds.evened`)."""
-        off = self._off(points)
-        best, apart = self._nearest(points, off, film)
+        beside = Beside.of(self.labels, points)
+        best, apart = self._nearest(points, beside, film)
         weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
-        tones = self._tones(points, [np.abs(far) for far, _ in off])
+        tones = self._tones(points, beside)
         second = np.flatnonzero(weight < 1)
         both = np.concatenate([best[:, 0], best[second, 1]])
         rows = np.concatenate([np.arange(len(points)), second])
@@ -200,15 +179,14 @@ class Quilt:
         moved *= np.exp(-np.square(np.square(moved).sum(-1, keepdims=True) / (2 * ALIKE**2)))
         return rgb + moved
 
-    def _tones(self, points: NDArray[np.float32], distances: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """(M, 3). The tones around points (M, 3) that are at distances (M,) from each label's own planes."""
+    def _tones(self, points: NDArray[np.float32], beside: Beside) -> NDArray[np.float32]:
+        """(M, 3). The tones around points (M, 3) that lie so beside own planes."""
         tones = read_trilinear(self.tones, _in_cells(points, LEVELS[-1]))
-        own = [label for label in self.labels if label.is_own]
-        for label, distance in zip(own, distances, strict=True):
-            rows = np.flatnonzero(distance < OWN_REACH)
+        for number, far in zip(beside.numbers, beside.far, strict=True):
+            label, rows = self.labels[number], np.flatnonzero(np.abs(far) < OWN_REACH)
             ball = Ball.of(points[rows])
             there = label.read_tones(label.chunks.places(ball), distance_across(self.labels, label, ball))
-            alone = np.exp(-np.square(distance[rows] / OWN_ALONE))[:, None]
+            alone = np.exp(-np.square(far[rows] / OWN_ALONE))[:, None]
             tones[rows] += alone * (there - tones[rows])
         return tones
 
@@ -225,21 +203,6 @@ class Quilt:
         things = [t.reduced(n) for t in self.things]
         packing = None if self.packing is None else self.packing.reduced(things)
         return replace(self, labels=labels, textures=textures, packing=packing, things=things)
-
-    def _share_crossing(
-        self, best: NDArray[np.int32], apart: NDArray[np.float32], distances: list[NDArray[np.float32]]
-    ) -> None:
-        """Gives points at distances (M,) close to own planes of both families to the nearer plane: decided by cells,
-        one plane would cut a bar out of the other. Changes the two nearest labels (M, 2) and how far the first one
-        leads (M,)."""
-        own = np.array([n for n, label in enumerate(self.labels) if label.is_own], np.int32)
-        if len(own) < 2:
-            return
-        rows = np.flatnonzero(np.isin(best[:, 0], own) & (np.maximum(*distances) < CROSSING * 2 / LEVELS[-1]))
-        both = np.stack([distance[rows] for distance in distances])
-        order = both.argsort(0)
-        nearer, farther = np.take_along_axis(both, order, 0)
-        best[rows], apart[rows] = own[order].T, (farther - nearer) / (farther + nearer + 1e-9)
 
 
 def make_quilt(
