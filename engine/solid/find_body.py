@@ -45,13 +45,20 @@ MIN_SIZE = 0.01
 
 
 GAIN = 0.1
-"""Share of the Gaussians. There were gaps if this many more lie at the skin once Gaussians reach their neighbours:
-whole captures gain 0.06 at most, thinned ones of which a part or nothing was found 0.13 to 1."""
+"""Share of the Gaussians. There were gaps if this many more lie at the skin once Gaussians reach their neighbours, and
+the share of caps besides: whole captures gain 0.06 at most, or as much as is capped, as a guitar whose strings are
+joined to its body; thinned ones of which a part or nothing was found gain 0.13 to 1."""
 
-NEIGHBOURS, REACH = 6, 0.7
+CAPPED = 0.03
+"""Share of the skin that caps close from which they may close gaps. There were gaps if less than half of it is left
+once Gaussians reach their neighbours: a hole stays open. Caps close at most 0.01 of four whole captures, and up to 0.23
+of these thinned to a third."""
+
+NEIGHBOURS, REACHES = 6, (0.7, 1.0)
 """Number of neighbours around a Gaussian of a skin, and the least standard deviation that it gets, over the distance to
-the farthest of them. Eight captures thinned at random to a tenth then enclose 0.96 to 1.10 of what they did; with 0.5
-they enclose 0.68 to 1.01, with 1 1.04 to 1.5. Whole captures of thin things grow by it, so it is not always done."""
+the farthest of them; the second if there are still gaps with the first. Eight captures thinned at random to a tenth
+enclose 0.96 to 1.10 of what they did with 0.7, with 0.5 0.68 to 1.01, with 1 1.04 to 1.5; but a box with 0.7 0.6 on
+grids that are fine enough for its gaps, with 1 1.03. Whole captures of thin things grow, so it is not always done."""
 
 
 @dataclass(frozen=True)
@@ -86,20 +93,27 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     if grid is None:
         raise InputError(f"{name}: no closed body found; all Gaussians stand at one point")
     found = _enclosed(shell, shell, grid)
-    part = _part_of_skin(shell, found, grid)
-    if part < 1 - GAIN:
-        closer = _enclosed(_reaching_neighbours(shell), shell, grid)
-        if _part_of_skin(shell, closer, grid) > part + GAIN:
-            found = closer
-            notes.append("there are gaps between its Gaussians: each was taken to reach its neighbours")
+    part, capped, with_gaps = _part_of_skin(shell, found, grid), found.capped if found else 0.0, False
+    for reach in REACHES:
+        if capped <= CAPPED and (with_gaps or part >= 1 - GAIN):
+            break
+        closer = _enclosed(_reaching_neighbours(shell, reach), shell, grid)
+        if closer is None:
+            break
+        there = _part_of_skin(shell, closer, grid)
+        grows, closes = there > part + GAIN + closer.capped, capped > max(CAPPED, 2 * closer.capped)
+        if not (grows or closes):
+            break
+        found, part, capped, with_gaps = closer, there, closer.capped, True
+    if with_gaps:
+        notes.append("there are gaps between its Gaussians: each was taken to reach its neighbours")
     if found is None:
         raise InputError(
             f"{name}: no closed body found; the {len(shell)} Gaussians enclose nothing (flat, too open or too thin)"
         )
-    opacity, inside, depth, cap_faces = found
-    skin_cells = np.count_nonzero(inside ^ ndimage.binary_erosion(inside))
-    if cap_faces >= 1e-3 * skin_cells:
-        notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_cells):.1%} of its skin, were closed")
+    opacity, depth = found.opacity, found.depth
+    if found.capped >= 1e-3:
+        notes.append(f"the shell is open: holes, {found.capped:.1%} of its skin, were closed")
     enclosing = float((depth[opacity >= CORE_OPACITY] > -SKIN * grid.cell).mean())
     if enclosing < 0.5:
         notes.append(f"only {enclosing:.0%} of what is shown encloses an inside; the rest is a skin without one")
@@ -112,12 +126,10 @@ class _Found(NamedTuple):
 
     opacity: NDArray[np.float32]
     """(X, Y, Z). The field whose walls enclose it."""
-    inside: NDArray[np.bool_]
-    """(X, Y, Z). The enclosed cells."""
     depth: NDArray[np.float32]
     """(X, Y, Z). Depth below the skin, world units."""
-    cap_faces: float
-    """Area of the caps that close holes, in cell faces."""
+    capped: float
+    """Share of the skin that caps close. Range [0, 1]."""
 
 
 def _enclosed(walls: Gaussians, shell: Gaussians, grid: Grid) -> _Found | None:
@@ -130,7 +142,8 @@ def _enclosed(walls: Gaussians, shell: Gaussians, grid: Grid) -> _Found | None:
         return None
     depth = signed_depth(inside, shell, grid)
     depth = np.where(_drop_fragments(depth > 0) | (depth <= 0), depth, -np.abs(depth)).astype(np.float32)
-    return _Found(opacity, inside, depth, cap_faces)
+    skin_cells = np.count_nonzero(inside ^ ndimage.binary_erosion(inside))
+    return _Found(opacity, depth, cap_faces / (cap_faces + skin_cells))
 
 
 def _part_of_skin(shell: Gaussians, found: _Found | None, grid: Grid) -> float:
@@ -138,14 +151,14 @@ def _part_of_skin(shell: Gaussians, found: _Found | None, grid: Grid) -> float:
     return 0.0 if found is None else float((Body(grid, found.depth).at(shell.means) > -SKIN * grid.cell).mean())
 
 
-def _reaching_neighbours(gaussians: Gaussians) -> Gaussians:
+def _reaching_neighbours(gaussians: Gaussians, reach: float) -> Gaussians:
     """The Gaussians, wide enough along their skin to meet those beside them: a thinned capture, or a mesh sampled with
     few, has gaps wider than any cell. Their shortest axis, across the skin, stays."""
     number = min(NEIGHBOURS + 1, len(gaussians))  # each is its own nearest
     away = cKDTree(gaussians.means).query(gaussians.means, k=[number], workers=cores())[0]
     along = gaussians.scales > gaussians.scales.min(1, keepdims=True)
     along[~along.any(1), :2] = True  # balls have no skin to lie along: two of their axes will do
-    wide = np.maximum(gaussians.scales, (REACH * away).astype(np.float32))
+    wide = np.maximum(gaussians.scales, (reach * away).astype(np.float32))
     return replace(gaussians, scales=np.where(along, wide, gaussians.scales))
 
 
