@@ -56,9 +56,10 @@ of these thinned to a third."""
 
 NEIGHBOURS, REACHES = 6, (0.7, 1.0)
 """Number of neighbours around a Gaussian of a skin, and the least standard deviation that it gets, over the distance to
-the farthest of them; the second if there are still gaps with the first. Eight captures thinned at random to a tenth
-enclose 0.96 to 1.10 of what they did with 0.7, with 0.5 0.68 to 1.01, with 1 1.04 to 1.5; but a box with 0.7 0.6 on
-grids that are fine enough for its gaps, with 1 1.03. Whole captures of thin things grow, so it is not always done."""
+the farthest of them; the second if caps still close GAIN of the skin with the first. Eight captures thinned at random
+to a tenth enclose 0.96 to 1.10 of what they did with 0.7, with 0.5 0.68 to 1.01, with 1 1.04 to 1.5; but a box with 0.7
+0.6 on grids that are fine enough for its gaps, with 1 1.04. Whole captures of thin things grow, so it is not always
+done."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     found = _enclosed(shell, shell, grid)
     part, capped, with_gaps = _part_of_skin(shell, found, grid), found.capped if found else 0.0, False
     for reach in REACHES:
-        if capped <= CAPPED and (with_gaps or part >= 1 - GAIN):
+        if capped <= GAIN if with_gaps else capped <= CAPPED and part >= 1 - GAIN:
             break
         closer = _enclosed(_reaching_neighbours(shell, reach), shell, grid)
         if closer is None:
