@@ -4,10 +4,9 @@
 
 Each parameter is varied alone, from draft or from standard; accuracy is the mean over the three sample scenes and
 random held-out cuts of each: PSNR, which rewards blur where texture cannot be known, patch distance over that of
-another true one of the kind, and sharpness, which do not. One scene misleads: by patches ten iterations look better
-than draft on the orange, and are worse over three. Writes interior_presets.json and .png, with the Pareto fronts
-(nothing is both cheaper and better) drawn and the presets marked. The chart has processor time over cores, two
-thirds of the seconds on two cores, because a loaded machine disturbs it less.
+another true one of the kind, and sharpness, which do not. One scene misleads. Writes interior_presets.json and .png,
+with the Pareto fronts (nothing is both cheaper and better) drawn and the presets marked. The chart has processor time
+over cores, two thirds of the seconds on two cores, because a loaded machine disturbs it less.
 """
 
 from __future__ import annotations
@@ -46,27 +45,24 @@ FIGURES = {
 """Titles, and the score of a value: larger is better."""
 
 
-def settings() -> dict[str, tuple[Detail, float]]:
-    """The runs: their detail, and the planes as a multiple of the paper's."""
-    runs: dict[str, tuple[Detail, float]] = {name: (detail, 1.0) for name, detail in DETAILS.items()}
+def settings() -> dict[str, Detail]:
+    """The detail of each run."""
+    runs: dict[str, Detail] = dict(DETAILS.items())
     draft, standard = DETAILS["draft"], DETAILS["standard"]
     turned = {
         "voxels": [draft.voxels * 5 // 7, draft.voxels * 3 // 2],
         "fine": [draft.fine * 2 // 3, draft.fine * 3 // 2],
     }
     for knob, values in turned.items():
-        runs |= {f"{knob} {value}": (replace(draft, **{knob: value}), 1.0) for value in values}
-    runs |= {f"planes x{times:g}": (draft, times) for times in (0.5, 2.0)}
+        runs |= {f"{knob} {value}": replace(draft, **{knob: value}) for value in values}
     for knob, value in {"voxels": 128, "fine": 144}.items():
-        runs[f"standard, {knob} {value}"] = replace(standard, **{knob: value}), 1.0
+        runs[f"standard, {knob} {value}"] = replace(standard, **{knob: value})
     return runs
 
 
-def measure(scene: str, numbers: Detail, planes: float, folder: Path) -> dict[str, Any]:
+def measure(scene: str, numbers: Detail, folder: Path) -> dict[str, Any]:
     """Runs one setting on one scene and returns its figures."""
     scene_data = load_scene(scene, folder)
-    families = tuple(replace(family, count=round(family.count * planes)) for family in scene_data.families)
-    scene_data = replace(scene_data, families=families)
     cuts = make_cuts(scene_data.solid, scene_data.families, CUTS)
     truth = load_truth(scene_data.solid, cuts, folder / f"{scene}.safetensors")
     another = other_solid_distance(scene_data, cuts, truth, folder / f"{scene}_another")
@@ -76,12 +72,9 @@ def measure(scene: str, numbers: Detail, planes: float, folder: Path) -> dict[st
         seconds, busy = time.perf_counter() - begun, (time.process_time() - busy) / cores()
         figures = accuracy(render_cuts(result, cuts, truth), cuts, truth, another)
     return {
-        "planes": sum(family.count for family in families),
         "seconds": round(seconds, 1),
         "busy": round(busy, 1),
         "atoms": len(result.atoms),
-        "iterations": result.facts["iterations"],
-        "rounds": result.facts["refinement_rounds"],
         **figures,
     }
 
@@ -160,14 +153,14 @@ def main(arguments: list[str] | None = None) -> None:
         chosen = {"draft": chosen["draft"]}
     with tempfile.TemporaryDirectory() as folder:
         if not quick:
-            measure(SCENES[0], *chosen["draft"], Path(folder))  # the first run of a process loads kernels
+            measure(SCENES[0], chosen["draft"], Path(folder))  # the first run of a process loads kernels
         result: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in chosen}
-        for scene, (name, how) in itertools.product(SCENES[: 1 if quick else None], chosen.items()):
-            result[name][scene] = measure(scene, *how, Path(folder))
+        for scene, (name, numbers) in itertools.product(SCENES[: 1 if quick else None], chosen.items()):
+            result[name][scene] = measure(scene, numbers, Path(folder))
             print(scene, name, json.dumps(result[name][scene]), flush=True)
     if not out:
         return
-    runs = {name: mean(chosen[name][0], of) for name, of in result.items()}
+    runs = {name: mean(chosen[name], of) for name, of in result.items()}
     fronts = {
         f"{up} against {across}": [list(runs)[i] for i in pareto_front(runs, across, up)]
         for up, across in itertools.product(FIGURES, COSTS)

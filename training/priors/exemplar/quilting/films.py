@@ -62,8 +62,8 @@ class Beside:
         return there
 
     def share_crossing(self, best: NDArray[np.int32], apart: NDArray[np.float32], cell: float) -> None:
-        """Gives points close to own planes of both families to the nearer plane, as it would be decided by cells
-        otherwise. Changes the two nearest labels (M, 2) and how far the first one leads (M,)."""
+        """Gives points close to own planes of both families to the nearer plane: decided by cells, one would cut a bar
+        out of the other. Changes the two nearest labels (M, 2) and how far the first one leads (M,)."""
         if len(self.numbers) < 2:
             return
         distances = np.abs(self.far)

@@ -79,6 +79,10 @@ class QuiltInside:
         """World units. A radius of the ball, as far as the body is one."""
         return float(self.ball.skin.mean()) * self.cell
 
+    def _film(self, footprint: float) -> float:
+        """Radii. How thick own planes are where they show what is not beside them."""
+        return (footprint + FILM * self.cell) / self._radius
+
     def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
         """(N, 3). See `engine.scene.inside.Inside`."""
         n = 1
@@ -86,15 +90,13 @@ class QuiltInside:
             n *= 2
         if n not in self._reduced:
             self._reduced[n] = self.quilt.reduced(n) if n > 1 else self.quilt
-        return self._reduced[n].read(
-            self.ball.to_ball(self._planar(points)), (footprint + FILM * self.cell) / self._radius
-        )
+        return self._reduced[n].read(self.ball.to_ball(self._planar(points)), self._film(footprint))
 
     def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
         """(N,). See `engine.scene.inside.Inside`."""
         kinds = self._kinds
         blocks = [points[start : start + BLOCK] for start in range(0, len(points), BLOCK)]
-        found = side_by_side(lambda block: kinds.at(self.ball.to_ball(self._planar(block))), blocks)
+        found = side_by_side(lambda block: kinds.at(self.ball.to_ball(self._planar(block)), self._film(0)), blocks)
         return np.concatenate([np.empty(0, np.uint8), *found])
 
     @cached_property

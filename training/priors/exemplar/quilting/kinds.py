@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from engine.scene.inside import Kind
 from training.priors.exemplar.quilting.chunks import Ball
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, disc_grid, read_map, to_pixels
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, disc_grid, read_map, to_pixels
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt
 
@@ -65,11 +65,11 @@ class QuiltKinds:
         shown = {id(source): source for label in quilt.labels for source in label.sources}
         self._faces = {key: _Face.of(source) for key, source in shown.items()}
 
-    def at(self, points: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """(M,). The `Kind` at points (M, 3) of the unit ball, never OUTSIDE."""
+    def at(self, points: NDArray[np.float32], film: float) -> NDArray[np.uint8]:
+        """(M,). The `Kind` at points (M, 3) of the unit ball, never OUTSIDE; `film` as in `Quilt.read`."""
         quilt = self._quilt
         points = quilt.rinds.evened(points)
-        nearest = quilt.nearest(points, PIXEL)[0][:, 0]
+        nearest = quilt.nearest(points, film)[0][:, 0]
         out = np.full(len(points), Kind.INSIDE, np.uint8)
         for n, label in enumerate(quilt.labels):
             rows = np.flatnonzero(nearest == n)

@@ -176,6 +176,7 @@ class Quilt:
         field = self.textures[label.is_horizontal]
         rgb = label.read(places, crossing, field.at(ball), field.thickness)
         moved = tones - label.read_tones(places, crossing)
+        # Flatter than a Gaussian: of a small difference nothing may be left at the edge of a thin film.
         moved *= np.exp(-np.square(np.square(moved).sum(-1, keepdims=True) / (2 * ALIKE**2)))
         return rgb + moved
 
