@@ -1,10 +1,10 @@
 """Scenes per hour against the number of `fruitninja-batch` workers, and what bounds them.
 
-    python -m benchmarks.batch_scaling [--quick] [--scenes 4] [--most 2] [--preload FILE] [-o docs/charts]
+    python -m benchmarks.batch_scaling [--quick] [--scenes 4] [--workers 1,2] [--preload FILE] [-o docs/charts]
 
-Trains the same small scenes (the sample orange with several seeds, one iteration at draft detail) with one worker, two,
-and so on, each time from nothing. The cluster's start-up is reported apart from the training, as are the seconds that
-scenes wait while nobody works on them. With --preload every worker runs a file first:
+Trains the same small scenes (the sample orange with several seeds, one iteration at draft detail) with each of the
+numbers of workers, each time from nothing. The cluster's start-up is reported apart from the training, as are the
+seconds that scenes wait while nobody works on them. With --preload every worker runs a file first:
 tests/helpers/workers/batch_worker.py makes runs of a second or two, which show what the workers themselves cost.
 Writes batch_scaling.png and .json, which has the numbers.
 """
@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Measures and draws the chart."""
     parser = parser_of(__doc__, "two of the tests' small scenes")
     parser.add_argument("--scenes", type=int, default=4, help="scenes of a batch")
-    parser.add_argument("--most", type=int, default=2, help="the largest number of workers")
+    parser.add_argument("--workers", default="1,2", help="numbers of workers, with commas")
     parser.add_argument("--preload", help="a file that every worker runs first")
     options = parser.parse_args(arguments)
     folder = out_folder(options)
@@ -97,7 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
     if preload:
         dask.config.set({"distributed.worker.preload": [preload]})
     rows = []
-    for workers in range(1, options.most + 1):
+    for workers in map(int, options.workers.split(",")):
         rows.append(measure(workers, count))
         print(rows[-1], flush=True)
     cores = os.cpu_count() or 1
@@ -106,6 +106,7 @@ def main(arguments: list[str] | None = None) -> None:
         "cores": cores,
         "preload": preload and Path(preload).name,
         "memory_gb": round(psutil.virtual_memory().total / 2**30),
+        "most_memory_of_a_process_gb": round(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20, 2),
         "bound_scenes_per_hour_of_all_cores": round(bound, 1),
         "rows": rows,
         "bound": "Scenes share nothing but the disk: a machine is bound by processor time, cores x 3600 s over the "
