@@ -33,6 +33,9 @@ def main() -> None:
     from app.session.recovered_jobs import recovered_jobs
     from app.session.session import Session
     from app.ui.window import Window
+    from engine.threads import one_thread_for_blas
+
+    one_thread_for_blas()
 
     def start(session: Session) -> None:
         running = [job for job in recovered_jobs(session) if not job.ended]

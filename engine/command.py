@@ -17,6 +17,7 @@ import typer
 from engine.errors import InputError, one_line
 from engine.io.files import reason
 from engine.scene.plane import Plane
+from engine.threads import one_thread_for_blas
 
 __all__ = [
     "FAILED",
@@ -110,6 +111,7 @@ def run_command(
 
     `stopped` is the message for a stop by the user, unless the command gives one.
     """
+    one_thread_for_blas()
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     app.command(epilog=epilog)(command)
     status, line = 0, ""

@@ -24,8 +24,9 @@ import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import njit, types
 from numba.extending import intrinsic
+from threadpoolctl import threadpool_limits
 
-__all__ = ["cores", "for_each", "for_spans", "side_by_side", "use_cores"]
+__all__ = ["cores", "for_each", "for_spans", "one_thread_for_blas", "side_by_side", "use_cores"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -155,6 +156,18 @@ def use_cores(count: int) -> None:
     torch.set_num_threads(count)
     if count != _pool.count:
         _pool.resize(count)
+
+
+def one_thread_for_blas() -> None:
+    """Keeps matrix products on the thread that asks for them, in this process and in those it starts.
+
+    Ours have long arrays of a few columns, which memory bounds. OpenBLAS' own threads then mostly wait in a loop, on
+    cores that this module's threads need: a twelfth of a training's processor time on two cores. Whoever sets
+    OPENBLAS_NUM_THREADS has another number.
+    """
+    if "OPENBLAS_NUM_THREADS" not in os.environ:
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # for libraries that are loaded from now on
+        threadpool_limits(1, "blas")
 
 
 def for_each(kernel: Callable[..., Any], count: int, *args: Any) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from engine.render.gl import GLMissing, Renderer
-from engine.threads import use_cores
+from engine.threads import one_thread_for_blas, use_cores
 
 
 def pytest_configure() -> None:
@@ -17,6 +17,7 @@ def pytest_configure() -> None:
 
     The process has already counted the cores on import, and two threads on one core would wait for each other.
     """
+    one_thread_for_blas()
     if hasattr(os, "sched_setaffinity") and (worker := os.environ.get("PYTEST_XDIST_WORKER")):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})

@@ -150,3 +150,24 @@ def test_the_window_opens_without_torch() -> None:
     """Importing torch takes as long as importing all the rest."""
     code = "import sys, app.ui.window; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_matrix_product_stays_on_its_thread_unless_the_user_says_otherwise() -> None:
+    program = (
+        "import os, numpy, scipy.linalg\n"
+        "from threadpoolctl import threadpool_info\n"
+        "from engine.threads import one_thread_for_blas\n"
+        "one_thread_for_blas()\n"
+        "print(*(pool['num_threads'] for pool in threadpool_info() if pool['user_api'] == 'blas'))\n"
+        "print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    counts = {}
+    for wish in (None, "2"):
+        environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+        environment |= {"OPENBLAS_NUM_THREADS": wish} if wish else {}
+        run = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+        )
+        counts[wish] = set(run.stdout.split())
+    assert counts[None] == {"1"}
+    assert "2" in counts["2"]
