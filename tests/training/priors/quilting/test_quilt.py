@@ -294,12 +294,26 @@ def test_juice_sacs_do_not_fade_beside_the_photograph() -> None:
     radius, turn = np.linspace(0.3, 0.75, 10), np.arange(720) / 720 * 2 * np.pi
     x, y = (radius[:, None] * axis(turn) for axis in (np.cos, np.sin))
     true = contrast_around(photograph(names[0]).read(x.ravel(), y.ravel()), radius)
-    made, kept = quilted(*map(photograph, names)), []
+    made, kept = quilt_of(names), []
     for height in (-0.3, -0.2, -0.1, 0.1, 0.2, 0.3):
         share = np.sqrt(1 - height**2)
         points = np.stack([x * share, y * share, np.full_like(x, height)], -1).reshape(-1, 3)
         kept.append(contrast_around(made.read(points.astype(np.float32)), radius) / true)
     assert np.mean(kept) > 0.58  # 0.48 where texture is what is narrower than 0.02 radii alone
+
+
+def test_no_chips_of_pith_lie_in_the_pulp() -> None:
+    """Pulp shows no more pith across the axis than the horizontal photograph, whatever the radial one has around it."""
+    turn, radius = np.arange(360) / 180 * np.pi, np.linspace(0.2, 0.6, 41)[:, None]
+    x, y = radius * np.cos(turn), radius * np.sin(turn)
+    weight = np.broadcast_to(radius, x.shape).ravel()
+    pith = {}
+    for height in (-0.5, -0.25, 0, 0.25, 0.5):
+        share = np.sqrt(1 - height**2)
+        points = np.stack([x * share, y * share, np.full_like(x, height)], -1).reshape(-1, 3).astype(np.float32)
+        pith[height] = np.average(quilt_of(("orange_h1", "orange_v6")).read(points)[:, 2] > 0.5, weights=weight)
+    assert 0 < pith[0] < 0.05  # its membranes
+    assert np.mean([share for height, share in pith.items() if height]) < pith[0]
 
 
 def test_light_is_told_from_what_is_there() -> None:
