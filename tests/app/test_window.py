@@ -1,12 +1,16 @@
-"""The real window under an X server, driven by ImGui's test engine; each script runs in its own process."""
+"""The real window under an X server, driven by ImGui's test engine; each script runs in its own process, on Linux in a
+fork of one that has imported all."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,97 +18,146 @@ import pytest
 from imgui_bundle import ImVec4
 
 from app.ui.theme import DARK, LIGHT, Palette, _roles, rgb, rgba
-from tests.paths import HELPERS, ROOT
+from tests.paths import ROOT
+
+TEN_MINUTES = 600.0
+
+Run = Callable[..., None]
+"""Runs a script, given its name, its folder, and its module if that is not `app_steps`; says why it failed."""
 
 
-def run(name: str, folder: Path, script: str = "app_steps.py") -> None:
-    """Runs a script in a window, in a process of its own."""
-    command = [sys.executable, str(HELPERS / script), name, str(folder)]
+@pytest.fixture(scope="module")
+def server() -> Iterator[subprocess.Popen[str] | None]:
+    """A process that runs scripts in forks of itself, all under one X server."""
+    if not sys.platform.startswith("linux"):
+        yield None
+        return
+    process = subprocess.Popen(
+        windowed("-m", "tests.helpers.workers.app_server"), cwd=ROOT, env=environment(), text=True, bufsize=1,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    yield process
+    process.communicate(timeout=60)
+
+
+@pytest.fixture
+def run(server: subprocess.Popen[str] | None) -> Run:
+    if server is None:
+        return run_alone
+
+    def run(name: str, folder: Path, script: str = "app_steps") -> None:
+        assert server.stdin is not None and server.stdout is not None
+        printed = folder / "printed.txt"
+        server.stdin.write(json.dumps([script, name, str(folder), str(printed)]) + "\n")
+        pid = server.stdout.readline()
+        assert pid, server.communicate()[1]
+        # With the window, which would keep a core busy.
+        too_long = threading.Timer(TEN_MINUTES, os.killpg, (int(pid), signal.SIGKILL))
+        too_long.start()
+        status = int(server.stdout.readline())
+        too_long.cancel()
+        judge(status, printed.read_text(errors="replace"))
+
+    return run
+
+
+def run_alone(name: str, folder: Path, script: str = "app_steps") -> None:
+    """Runs a script in a process that imports all by itself."""
+    process = subprocess.Popen(
+        windowed("-m", f"tests.helpers.{script}", name, str(folder)), cwd=ROOT, env=environment(), text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+    )  # fmt: skip
+    try:
+        said, _ = process.communicate(timeout=TEN_MINUTES)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)  # and the window, which would keep a core busy
+        said, _ = process.communicate()
+    judge(process.returncode, said)
+
+
+def windowed(*arguments: str) -> list[str]:
+    """The command that runs Python where there is a display."""
+    command = [sys.executable, *arguments]
     if not os.environ.get("DISPLAY") and sys.platform.startswith("linux"):
         server = shutil.which("xvfb-run")
         if server is None:
             pytest.skip("no display, and no xvfb-run to make one (install xvfb)")
-        command = [server, "-a", "-s", "-screen 0 1680x1200x24", *command]
+        return [server, "-a", "-s", "-screen 0 1680x1200x24 -noreset", *command]
+    return command
+
+
+def environment() -> dict[str, str]:
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    process = subprocess.Popen(
-        command,
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": path, "LIBGL_ALWAYS_SOFTWARE": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
-    try:
-        said, _ = process.communicate(timeout=600)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)  # and the window, which would keep a core busy
-        said, _ = process.communicate()
-        pytest.fail(f"after ten minutes: {said[-3000:]}")
+    return os.environ | {"PYTHONPATH": path, "LIBGL_ALWAYS_SOFTWARE": "1"}
+
+
+def judge(status: int, said: str) -> None:
+    """Fails, or skips where no window can be opened, unless a script ended well."""
     if "cannot create context" in said or "Failed to create GLFW window" in said:
         pytest.skip("no OpenGL 3.3 on this display (install libgl1-mesa-dri)")
-    assert process.returncode == 0 and "well" in said, said[-3000:]
+    assert status != -signal.SIGKILL, f"after ten minutes: {said[-3000:]}"
+    assert status == 0 and "well" in said, said[-3000:]
 
 
 @pytest.mark.slow
-def test_a_user_cuts_trains_saves_and_exports(tmp_path: Path) -> None:
+def test_a_user_cuts_trains_saves_and_exports(tmp_path: Path, run: Run) -> None:
     run("steps", tmp_path)
     assert len(list((tmp_path / "shots").glob("*.png"))) == 9
 
 
 @pytest.mark.slow
-def test_a_dense_screen_dropped_files_dialogs_and_leaving(tmp_path: Path) -> None:
+def test_a_dense_screen_dropped_files_dialogs_and_leaving(tmp_path: Path, run: Run) -> None:
     run("habits", tmp_path)
 
 
 @pytest.mark.slow
-def test_the_object_is_stood_on_a_face_and_turned(tmp_path: Path) -> None:
-    run("upright", tmp_path, "app_scripts.py")
+def test_the_object_is_stood_on_a_face_and_turned(tmp_path: Path, run: Run) -> None:
+    run("upright", tmp_path, "app_scripts")
     assert len(list((tmp_path / "shots").glob("upright_*.png"))) == 6
 
 
 @pytest.mark.slow
-def test_a_user_isolates_the_object_and_takes_it_back(tmp_path: Path) -> None:
-    run("isolate", tmp_path, "app_isolate_steps.py")
+def test_a_user_isolates_the_object_and_takes_it_back(tmp_path: Path, run: Run) -> None:
+    run("isolate", tmp_path, "app_isolate_steps")
     assert len(list((tmp_path / "shots").glob("*.png"))) == 5
 
 
-def test_two_objects_are_selected_cut_named_and_hidden(tmp_path: Path) -> None:
-    run("several", tmp_path, "app_isolate_steps.py")
+def test_two_objects_are_selected_cut_named_and_hidden(tmp_path: Path, run: Run) -> None:
+    run("several", tmp_path, "app_isolate_steps")
     assert len(list((tmp_path / "shots").glob("*.png"))) == 5
 
 
 @pytest.mark.slow
-def test_a_picture_is_looked_at_and_corrected_before_training(tmp_path: Path) -> None:
-    run("faces", tmp_path, "app_scripts.py")
+def test_a_picture_is_looked_at_and_corrected_before_training(tmp_path: Path, run: Run) -> None:
+    run("faces", tmp_path, "app_scripts")
     assert len(list((tmp_path / "shots").glob("faces_*.png"))) == 5
 
 
 @pytest.mark.slow
-def test_a_film_is_made_the_object_thrown_and_pieces_named(tmp_path: Path) -> None:
-    run("film", tmp_path, "app_film_steps.py")
+def test_a_film_is_made_the_object_thrown_and_pieces_named(tmp_path: Path, run: Run) -> None:
+    run("film", tmp_path, "app_film_steps")
     assert len(list((tmp_path / "shots").glob("*.png"))) == 10
 
 
-def test_what_was_open_lately_is_shown_with_pictures(tmp_path: Path) -> None:
-    run("recent", tmp_path, "hard_use/steps.py")
+def test_what_was_open_lately_is_shown_with_pictures(tmp_path: Path, run: Run) -> None:
+    run("recent", tmp_path, "hard_use.steps")
 
 
-def test_splats_lines_and_names_are_shown_as_the_view_says(tmp_path: Path) -> None:
-    run("options", tmp_path, "hard_use/steps.py")
+def test_splats_lines_and_names_are_shown_as_the_view_says(tmp_path: Path, run: Run) -> None:
+    run("options", tmp_path, "hard_use.steps")
 
 
-def test_all_is_reached_by_keyboard_and_the_knife_cuts_by_it(tmp_path: Path) -> None:
-    run("keyboard", tmp_path, "hard_use/steps.py")
+def test_all_is_reached_by_keyboard_and_the_knife_cuts_by_it(tmp_path: Path, run: Run) -> None:
+    run("keyboard", tmp_path, "hard_use.steps")
 
 
 @pytest.mark.slow
 def test_in_a_language_of_long_words_all_is_translated_and_fits(tmp_path: Path) -> None:
-    run("pseudo", tmp_path, "hard_use/steps.py")
+    run_alone("pseudo", tmp_path, "hard_use.steps")  # the language is chosen before anything is imported
 
 
 @pytest.mark.slow
-def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
+def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path, run: Run) -> None:
     run("soak", tmp_path)
 
 
