@@ -109,8 +109,8 @@ def test_a_killed_worker_a_stop_a_full_disk_and_a_broken_scene_cost_no_bit(
     process = command(manifest, out, "--workers", "1", preload=(WORKER, WORKER.with_name("full_disk_worker.py")))
     message = process.communicate()[1]
     assert process.returncode == 1
-    file = out / "killed/checkpoint/training.safetensors"
-    assert f"killed: {file}: cannot be written (I/O error: No space left" in message
+    saved = out / "killed/checkpoint/training.safetensors"
+    assert f"killed: {saved}: cannot be written (I/O error: No space left" in message
     assert f"fruitninja-batch: broken: {tmp_path / 'broken.ply'}: broken .ply header" in message
     assert "Traceback" not in message
     assert outcomes(out)["broken"] == ("failed", 2)
