@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 from training.priors.exemplar.quilting.chunks import Ball, Chunks, Places, Rows
 from training.priors.exemplar.quilting.disc import (
     Disc,
+    disc_grid,
+    disc_radius,
     even_around,
     even_sides,
     filled_in,
+    halo,
     read_map,
+    ring_medians,
     smooth_disc,
 )
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
@@ -29,6 +33,9 @@ from training.priors.exemplar.sampling import lengths
 from training.priors.exemplar.strata import beside_own
 
 __all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs", "read_maps"]
+
+FINE_RINGS, LARGEST = 64, 0.16
+"""Number of rings from whose median colours things stand out, and the largest half width of things in radii."""
 
 FAINT_SHEET = 0.05
 """Least surety of a sheet at which a place is not taken for texture: faint membranes would be scattered."""
@@ -55,6 +62,8 @@ class Source:
     """Parts of `even`."""
     relief: Relief
     """Relief of the things in `parts`."""
+    closed: NDArray[np.float32]
+    """(P, P). How far closed things stand out."""
     blurred: Disc
     tones: Disc
     """Tones of `even` without closed things: those of what is left where they end."""
@@ -91,6 +100,7 @@ class Source:
             even=even,
             parts=replace(self.parts, things=things),
             relief=relief,
+            closed=self.closed * (1 - halo(laid)),
             blurred=smooth_disc(Disc(without(self.disc.rgb)), BLUR),
         )
 
@@ -114,6 +124,7 @@ class Source:
             even,
             parts,
             relief,
+            _closed_things(even, persistence),
             smooth_disc(disc, BLUR),
             smooth_disc(Disc(filled_in(even.rgb, relief.closed_until(rind) >= 0)), TONE),
             persistence,
@@ -204,15 +215,15 @@ class Label:
         """(M, 3). The things that the places show, in even tones."""
         return self._read_relief(places)[:, :3]
 
-    def left(self, places: Places, shown: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M,). How much of the colour that does not persist from the pictures' planes to the places is still in what
-        they show (M, 3) in even tones."""
+    def gone(self, places: Places, shown: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M,), (M,). Colour that does not persist from the pictures' planes to the places, and how much of it is still
+        in what they show (M, 3) in even tones."""
         gone = np.empty(len(places.x), np.float32)
         for n, source in enumerate(self.sources):
             rows = places.of(n, self.sources)
             gone[rows] = source.persistence.gone(places.x[rows], places.y[rows], places.distance[rows])
         closed = shown - read_discs(places, [s.parts.things for s in self.sources])
-        return np.maximum(gone - lengths(closed), 0)
+        return gone, np.maximum(gone - lengths(closed), 0)
 
     def in_own_tones(
         self, even: NDArray[np.float32], places: Places, crossing: NDArray[np.float32]
@@ -226,6 +237,17 @@ class Label:
         share = np.exp(-np.square(places.distance / OWN_TONES)) - np.exp(-np.square(crossing / OWN_TONES))
         tones = read_discs(places, [s.disc for s in self.sources]) - read_discs(places, [s.even for s in self.sources])
         return even + np.maximum(share, 0)[:, None] * tones
+
+
+def _closed_things(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
+    """(P, P). How far the colours of closed things are from those of their ring and of what is around them."""
+    x, y = disc_grid()
+    medians = ring_medians(disc, FINE_RINGS)
+    at = disc_radius() * FINE_RINGS - 0.5
+    ring = np.stack([np.interp(at, np.arange(FINE_RINGS), medians[:, c]) for c in range(3)], -1)
+    around = persistence.gone(x.ravel(), y.ravel(), np.full(x.size, LARGEST)).reshape(x.shape)
+    stands_out = np.minimum(lengths(disc.rgb - ring), around)
+    return stands_out.astype(np.float32)
 
 
 def distance_across(labels: list[Label], label: Label, ball: Ball) -> NDArray[np.float32]:
