@@ -1,4 +1,4 @@
-"""What a quilt's labels cost and show at the cells of a grid, and how much of closed things there should be."""
+"""What a quilt's labels cost and show at the cells of a grid, and how much of grains there should be."""
 
 from __future__ import annotations
 
@@ -28,9 +28,8 @@ GONE_COST = 4.0
 to close over and must end at a seam."""
 
 REGIONS = (10, 20)
-"""Bins of radius and height, blurred by their width, in which the pictures tell how much of closed things there is: an
-apple has its seeds around the middle. One gain for all places heaped them there: features of radial cuts of two pairs
-2.3 and 2.5, with regions 2.0 and 2.2."""
+"""Bins of radius and height, blurred by their width, in which the pictures tell how much of grains there is. One gain
+for all places heaps them where the pictures have most."""
 
 UNSEEN_COST, UNSEEN_MOST = 2.0, 0.1
 """Cost of colours that radial pictures do not show nearby, and squared distance to their nearest colour from which it
@@ -92,7 +91,7 @@ def _spread(values: NDArray[np.number]) -> NDArray[np.float64]:
 
 
 def closed_of(sources: list[Source], ball: Ball, is_horizontal: bool) -> NDArray[np.float32]:
-    """(M,). How far closed things stand out in the pictures, as if the ball had them all around the axis, or at all
+    """(M,). How far grains stand out in the pictures, as if the ball had them all around the axis, or at all
     heights."""
     places = [ball.level.T] if is_horizontal else [(side * ball.radius, ball.points[:, 2]) for side in (1, -1)]
     closed = [read_map(source.closed, x, y) for source in sources for x, y in places]
@@ -106,9 +105,9 @@ class Cells:
     costs: NDArray[np.float32]
     """(M, K)."""
     gains: NDArray[np.float32]
-    """(M, K). Colour by which closed things stand out, where they persist and other pictures show such colours."""
+    """(M, K). Colour by which grains stand out, where they persist and other pictures show such colours."""
     closed: NDArray[np.float32]
-    """(M, K). Colour by which closed things stand out, under the rind."""
+    """(M, K). Colour by which grains stand out, under the rind."""
     colours: NDArray[np.float32]
     """(M, K, 3)."""
     places: list[Places]

@@ -16,7 +16,6 @@ from training.priors.exemplar.quilting.disc import (
     even_around,
     even_sides,
     filled_in,
-    halo,
     read_map,
     ring_medians,
     smooth_disc,
@@ -63,7 +62,8 @@ class Source:
     relief: Relief
     """Relief of the things in `parts`."""
     closed: NDArray[np.float32]
-    """(P, P). How far closed things stand out."""
+    """(P, P). How far grains stand out, which chunks show; 0 in a picture without any, whose closed things are laid
+    whole."""
     blurred: Disc
     tones: Disc
     """Tones of `even` without closed things: those of what is left where they end."""
@@ -100,7 +100,6 @@ class Source:
             even=even,
             parts=replace(self.parts, things=things),
             relief=relief,
-            closed=self.closed * (1 - halo(laid)),
             blurred=smooth_disc(Disc(without(self.disc.rgb)), BLUR),
         )
 
@@ -124,7 +123,7 @@ class Source:
             even,
             parts,
             relief,
-            _closed_things(even, persistence),
+            _closed_things(even, persistence) if len(grains.radii) else np.zeros(disc.rgb.shape[:2], np.float32),
             smooth_disc(disc, BLUR),
             smooth_disc(Disc(filled_in(even.rgb, relief.closed_until(rind) >= 0)), TONE),
             persistence,

@@ -66,10 +66,10 @@ MARGIN = 3
 """Cells around the ball."""
 
 FIRST_GAIN, GAIN_STEP, MOST_GAIN = 2.0, 1.5, 12.0
-"""Gain of a unit of colour by which a closed thing stands out: its first value; the largest factor by which a sweep
-changes it, so that there is as much as the pictures show there; and its largest value. Without it there is too little:
-a closed thing costs the seams of its ends, and flesh none. A third of the largest value changes features by less than
-0.05."""
+"""Gain of a unit of colour by which a grain stands out: its first value; the largest factor by which a sweep changes
+it, so that there is as much as the pictures show there; and its largest value. Without it there is too little: a grain
+costs the seams of its ends, and flesh none. Nothing is gained by what else stands out, as seeds and cores are laid
+whole: it showed an orange's pith as chips in its pulp."""
 
 TONE_BLEND = 0.04
 """Standard deviation in radii over which the tones of two chunks blend at their seam."""
@@ -213,6 +213,7 @@ def make_quilt(
     unit ball. Bit-equal for a seed."""
     rinds, across, along = _make_sources(horizontal, radial, height)
     labels = _make_labels(across, along, height, seed)
+    has_grains = any(source.closed.any() for source in [*across, *along])
     gain = np.full(REGIONS, FIRST_GAIN)
     chosen = number = None
     for step, size in enumerate(LEVELS):
@@ -226,18 +227,18 @@ def make_quilt(
         else:
             nearest, _ = two_nearest(before, coarse, _in_cells(points, LEVELS[step - 1]), len(labels))
             chosen = nearest[:, 0].copy()
-        regions = Regions.of(ball)
-        wanted = regions.means(closed_of([source.bare for source in along or across], ball, not along))
+        regions, costs = Regions.of(ball), at_cells.costs
+        wanted = regions.means(closed_of(along or across, ball, not along))
         for _ in range(STEPS):
-            shown = regions.means(np.take_along_axis(at_cells.closed, chosen[:, None], 1)[:, 0])
-            ratio = (wanted + 1e-4) / (shown + 1e-4)
-            gain = np.minimum(gain * np.clip(ratio, 1 / GAIN_STEP, GAIN_STEP), MOST_GAIN)
-            costs = at_cells.costs - regions.at(gain)[:, None] * at_cells.gains
+            if has_grains:
+                shown = regions.means(np.take_along_axis(at_cells.closed, chosen[:, None], 1)[:, 0])
+                ratio = (wanted + 1e-4) / (shown + 1e-4)
+                gain = np.minimum(gain * np.clip(ratio, 1 / GAIN_STEP, GAIN_STEP), MOST_GAIN)
+                costs = at_cells.costs - regions.at(gain)[:, None] * at_cells.gains
             improve_labels(chosen, number, cells, at_cells.colours, costs, SEAM_COST * size)
     assert number is not None and chosen is not None
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
-    log.info("closed things %.4f of %.4f, gain %.2f to %.2f", shown.mean(), wanted.mean(), gain.min(), gain.max())
     return _assembled(rinds, labels, across, along, seed, number, chosen, ball, at_cells.places)
 
 
