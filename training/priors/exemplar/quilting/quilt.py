@@ -227,8 +227,10 @@ def make_quilt(
         else:
             nearest, _ = two_nearest(before, coarse, _in_cells(points, LEVELS[step - 1]), len(labels))
             chosen = nearest[:, 0].copy()
-        regions, costs = Regions.of(ball), at_cells.costs
-        wanted = regions.means(closed_of(along or across, ball, not along))
+        costs = at_cells.costs
+        if has_grains:
+            regions = Regions.of(ball)
+            wanted = regions.means(closed_of(along or across, ball, not along))
         for _ in range(STEPS):
             if has_grains:
                 shown = regions.means(np.take_along_axis(at_cells.closed, chosen[:, None], 1)[:, 0])
