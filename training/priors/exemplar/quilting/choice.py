@@ -13,6 +13,7 @@ from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, Places, sm
 from training.priors.exemplar.quilting.disc import REACH, read_map, to_pixels
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs, read_maps
 from training.priors.exemplar.quilting.seams import nearest_colour
+from training.priors.exemplar.quilting.things.core import Core
 
 __all__ = ["REGIONS", "Cells", "Regions", "closed_of", "weigh_labels"]
 
@@ -148,7 +149,8 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
             surprise = surprise * (1 - near)
             if isinstance(label.chunks, OwnHeight):
                 core, (x, y, z) = label.sources[0].core, ball.points.T
-                cost = cost - CORE_GAIN * core.holds(x, y, z - label.chunks.height)
+                if isinstance(core, Core):  # a column is everywhere
+                    cost = cost - CORE_GAIN * core.holds(x, y, z - label.chunks.height)
         else:
             cost = cost + RIND_COST * ball.rind
         if label.is_horizontal:

@@ -24,6 +24,7 @@ from training.priors.exemplar.quilting.persistence import Persistence, find_shee
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.texture import FINE, WIDTH, Parts, take_apart
+from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import Core
 from training.priors.exemplar.quilting.things.grains import Grains
 from training.priors.exemplar.quilting.things.seeds import Seeds
@@ -74,7 +75,7 @@ class Source:
     """Depth in radii of the layers along the rim."""
     grains: Grains
     seeds: Seeds
-    core: Core
+    core: Core | Column
     is_horizontal: bool
 
     @property
@@ -135,17 +136,17 @@ class Source:
             is_horizontal,
         )
 
-    def with_core(self, core: Core) -> Source:
+    def with_core(self, core: Core | Column) -> Source:
         """The picture taken apart anew, with all of its things known: seeds, sheets and this core, if there is one. A
         core does not affect the tones. A picture of grains has no core, and stays as it is."""
         if len(self.grains.radii):
             return self
         has_core = bool(core.region.any())
         even = _even(self.disc, self.is_horizontal, core.region) if has_core else self.even
-        things = self.seeds.regions | (self.sheets > FAINT_SHEET) | (core.form[..., 0] > 0)
+        things = self.seeds.regions | (self.sheets > FAINT_SHEET) | core.shape
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
-        if has_core:
+        if has_core and isinstance(core, Core):  # a column goes on beside either plane
             relief = relief.closing(parts.things, parts.strength, core.region, hidden)
         tones = smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE)
         return replace(self, core=core, even=even, parts=parts, relief=relief, tones=tones)

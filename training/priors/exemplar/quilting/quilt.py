@@ -44,8 +44,9 @@ from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
 from training.priors.exemplar.quilting.things.candidates import Candidates, in_own_planes, strewn
+from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import Core
-from training.priors.exemplar.quilting.things.cores import Cores
+from training.priors.exemplar.quilting.things.cores import Cores, find_cores
 from training.priors.exemplar.quilting.things.packing import REACHES, Packing, pack
 from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.sampling import lengths, read_trilinear, smoothstep
@@ -284,11 +285,10 @@ def _make_sources(
 def _with_cores(across: list[Source], along: list[Source], height: float) -> tuple[list[Source], list[Source]]:
     """Horizontal and radial pictures with their cores: the radial ones with what they show of the first horizontal
     one's."""
-    cores = [Core.none()] * (len(across) + len(along))
+    cores: list[Core | Column] = [Core.none()] * (len(across) + len(along))
     if across and not any(len(source.grains.radii) for source in [*across, *along]):
-        faces = [source.even for source in along]
-        cores = [Core.across(source.even, source.rind, faces, height) for source in across]
-        cores += [Core.along(face, cores[0], height) for face in faces]
+        of_across, of_along = find_cores(across, along, height)
+        cores = [*of_across, *of_along]
     both = list(zip([*across, *along], cores, strict=True))
     known = side_by_side(lambda one: one[0].with_core(one[1]), both)
     return known[: len(across)], known[len(across) :]

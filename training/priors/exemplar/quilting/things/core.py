@@ -1,7 +1,7 @@
 """The core of a face: what stands out around the axis and ends, such as the star of an apple.
 
 There is one core, so it is laid once, as a solid, where its picture was taken, and no chunk shows any. Radial pictures
-tell how tall it is. A core that they show taller than it is wide is a column, and is left for them to show.
+tell how tall it is. A core that they show taller than it is wide is a column (`column`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST, 
 from training.priors.exemplar.rind import FLESH
 from training.priors.exemplar.sampling import blurred, lengths, opened, read_bilinear
 
-__all__ = ["AXIS", "CORE", "Core"]
+__all__ = ["AXIS", "CORE", "MARGIN", "SMOOTH", "Core", "Shown", "find_shape", "seen_along", "stands_out"]
 
 CORE = 0.12
 """Radius of the area around the axis. A region that reaches into it is part of the core, with all that is in it."""
@@ -84,26 +84,13 @@ class Core:
         return cls(nothing[..., 0] > 0, nothing, (0.0, 0.0), (0.0, 0.0), 0.0)
 
     @classmethod
-    def across(cls, disc: Disc, rind: float, along: Sequence[Disc], height: float) -> Core:
-        """The core of a horizontal face of even tones with a rind of this depth in radii, at a height in the ball.
-
-        It has the proportions that radial faces, cut `along` the axis, show; if they do not show it, it is as tall as a
-        disc of its area is wide.
-        """
-        radius, contrast = disc_radius(), _contrast(disc)
-        parts, _ = ndimage.label(opened(contrast >= 1))
-        found = (parts > 0) & np.isin(parts, parts[radius < CORE])
-        if not found.any() or (found & (radius > 1 - rind)).any():
-            return cls.none()
-        shape = ndimage.binary_fill_holes(found & (contrast > EDGE * np.quantile(contrast[found], STRONG)))
-        if ndimage.distance_transform_edt(shape).max() * PIXEL < NARROWEST:
-            return cls.none()
+    def across(cls, shape: NDArray[np.bool_], seen: Sequence[Shown]) -> Core:
+        """The core of this shape (P, P) in a horizontal face, with the proportions that are `seen` in radial faces; if
+        none shows it, it is as tall as a disc of its area is wide."""
+        radius = disc_radius()
         reach = float(radius[shape].max()) + MARGIN
-        seen = [shown for one in along if (shown := _seen_along(one, reach, height))]
         if seen:
-            under, over, wide, column = (float(mean) for mean in np.mean(seen, axis=0))
-            if column > 0.5:
-                return cls.none()
+            under, over, wide = (float(np.mean([getattr(s, a) for s in seen])) for a in ("under", "over", "wide"))
             tall = (under + over) / 2 * float(np.quantile(radius[shape], MOST_OF)) / wide
         else:
             under = over = tall = float(np.sqrt(shape.sum() / np.pi)) * PIXEL
@@ -121,13 +108,19 @@ class Core:
         if not core.reach:
             return core
         x, y = disc_grid()
-        shape = _stands_out(disc, core.reach, height) & core.holds(x, np.zeros_like(x), y - height)
+        held = core.holds(x, np.zeros_like(x), y - height)
+        shape = ndimage.binary_fill_holes(stands_out(disc, core.reach, height) & held)
         if not shape.any():
             return cls.none()
         form = _form(shape)
         most = float(form[..., 0].max())
         form[..., 0] /= most
         return replace(core, region=shape, form=form, tall=(most, most))
+
+    @property
+    def shape(self) -> NDArray[np.bool_]:
+        """(P, P). Where the picture shows it."""
+        return self.form[..., 0] > 0
 
     def holds(self, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(...). Whether only the horizontal picture is to be shown at places (...), (...) of it and signed distances
@@ -160,7 +153,31 @@ def _contrast(disc: Disc) -> NDArray[np.floating]:
     return apart / max(THING_CONTRAST, TYPICAL * float(np.median(apart[radius < INSIDE])))
 
 
-def _stands_out(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
+@dataclass(frozen=True)
+class Shown:
+    """What a radial face shows of a core, in radii."""
+
+    under: float
+    """How far it reaches below the height of its horizontal picture."""
+    over: float
+    wide: float
+    """How far from the axis."""
+    is_column: bool
+
+
+def find_shape(disc: Disc, rind: float) -> NDArray[np.bool_] | None:
+    """(P, P). Where the core is in a horizontal face of even tones with a rind of this depth in radii; None without a
+    core."""
+    radius, contrast = disc_radius(), _contrast(disc)
+    parts, _ = ndimage.label(opened(contrast >= 1))
+    found = (parts > 0) & np.isin(parts, parts[radius < CORE])
+    if not found.any() or (found & (radius > 1 - rind)).any():
+        return None
+    shape = ndimage.binary_fill_holes(found & (contrast > EDGE * np.quantile(contrast[found], STRONG)))
+    return shape if ndimage.distance_transform_edt(shape).max() * PIXEL >= NARROWEST else None
+
+
+def stands_out(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
     """(P, P). Where a radial face of even tones stands out as a core does that lies at this height and reaches out to
     this radius."""
     x, y = disc_grid()
@@ -169,13 +186,13 @@ def _stands_out(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
     return contrast >= max(1.0, EDGE * float(np.median(contrast[core])) if core.any() else 1.0)
 
 
-def _seen_along(disc: Disc, reach: float, height: float) -> tuple[float, float, float, bool] | None:
-    """How far in radii below and above a height a radial face shows the core that reaches out to `reach`, how far from
-    the axis it shows it, and whether as a column; None if it does not show it."""
+def seen_along(disc: Disc, reach: float, height: float) -> Shown | None:
+    """What a radial face of even tones shows of a core at this height that reaches out to this radius; None if it does
+    not show it."""
     x, y = disc_grid()
     level, away = y[0], np.abs(x[:, 0])
-    stands_out = _stands_out(disc, reach, height)[away < reach]
-    part = ndimage.gaussian_filter1d(stands_out.mean(0), SMOOTH / PIXEL)
+    found = ndimage.binary_fill_holes(stands_out(disc, reach, height)[away < reach])
+    part = ndimage.gaussian_filter1d(found.mean(0), SMOOTH / PIXEL)
     top = int(np.where(np.abs(level - height) < NEAR, part, -1).argmax())
     if part[top] < LEAST:
         return None
@@ -185,11 +202,11 @@ def _seen_along(disc: Disc, reach: float, height: float) -> tuple[float, float, 
         return float(less[less < level[top]].max(initial=-1)), float(less[less > level[top]].min(initial=1))
 
     under, over = ends(PART)
-    filled = stands_out[:, (level > under) & (level < over)].mean(1) > HALF * part[top]
+    filled = found[:, (level > under) & (level < over)].mean(1) > HALF * part[top]
     wide = float(away[away < reach][filled].max(initial=PIXEL))
     is_column = over - under > 2 * COLUMN * wide
     under, over = ends(HALF)
-    return max(height - under, MARGIN), max(over - height, MARGIN), wide, is_column
+    return Shown(max(height - under, MARGIN), max(over - height, MARGIN), wide, is_column)
 
 
 def _form(shape: NDArray[np.bool_]) -> NDArray[np.float32]:

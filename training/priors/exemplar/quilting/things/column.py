@@ -1,0 +1,163 @@
+"""A core that runs along the axis, such as the pith of an orange or the hollow of a papaya.
+
+It is the shape of the horizontal picture, carried along the axis and as wide at every height as radial pictures show it
+there, over how wide they show it beside the horizontal picture. So are the colours of the horizontal picture, without
+what is small in it and closes, plus how they change along the axis in radial ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.priors.exemplar.quilting.disc import (
+    DISC_PIXELS,
+    PIXEL,
+    Disc,
+    Medians,
+    disc_grid,
+    disc_radius,
+    enlarged,
+    filled_in,
+    read_map,
+)
+from training.priors.exemplar.quilting.things.core import MARGIN, SMOOTH, stands_out
+
+__all__ = ["Column"]
+
+LEVEL = 0.15
+"""Distance in radii from the horizontal picture over which widths are averaged that count as one: a crack or a seed at
+its height is not how wide the column is."""
+
+MOST = 1.5
+"""Largest width over that one: where the column meets the rind at the poles, it has no width of its own."""
+
+LEAST = 0.05
+"""Least such width: less is its end."""
+
+
+SMALL = 0.07
+"""Radius in radii of the medians that leave what runs along the axis: nothing as small as a seed is left."""
+
+CLOSE = 0.03
+"""Distance in radii from the horizontal picture's plane within which what is small ends."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A core that runs along the axis, as a solid."""
+
+    region: NDArray[np.bool_]
+    """(P, P). Where it is in the horizontal picture, with what lies between its parts."""
+    depth: NDArray[np.float32]
+    """(P, P). How deep each pixel is in its shape, in radii; negative outside."""
+    colours: Disc
+    """The picture's colours in it: without what is small in a horizontal picture, as they are in a radial one."""
+    widths: NDArray[np.float64]
+    """(P,). Its width at the heights of a disc's pixels, over that at the horizontal picture's."""
+    height: float
+    """Height of the horizontal picture in the ball."""
+    reach: float
+    """How far it reaches from the axis at that height, in radii."""
+
+    @classmethod
+    def across(cls, disc: Disc, shape: NDArray[np.bool_], along: Sequence[Disc], rind: float, height: float) -> Column:
+        """The column of this shape (P, P) in a horizontal face at a height in the ball, as radial faces of even tones,
+        cut `along` the axis, show it. Their rinds have this depth in radii."""
+        reach = float(disc_radius()[shape].max()) + MARGIN
+        level = disc_grid()[1][0]
+        wide = np.mean([_shown(one, reach, height).sum(0) for one in along], axis=0)
+        wide = _without_flares(ndimage.gaussian_filter1d(wide, SMOOTH / PIXEL), rind)
+        widths = np.minimum(wide / max(float(wide[np.abs(level - height) < LEVEL].mean()), 1.0), MOST)
+        here = max(float(np.interp(height, level, widths)), LEAST)
+        widths = widths / here ** np.exp(-np.square((level - height) / LEVEL))
+        return cls(disc_radius() < reach, _depth(shape), _without_small(disc, shape), widths, height, reach)
+
+    def along(self, disc: Disc) -> Column:
+        """The same column, as a radial face of even tones shows it."""
+        shown = _shown(disc, self.reach, self.height)
+        depth = _depth(shown)
+        return replace(self, region=depth > -MARGIN, depth=depth, colours=Disc(filled_in(disc.rgb, ~shown)))
+
+    @property
+    def shape(self) -> NDArray[np.bool_]:
+        """(P, P). Where the picture shows it."""
+        return self.depth > 0
+
+    def holds(self, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """(...). Whether the column may be at places (...), (...) of the ball and signed distances (...) from the
+        horizontal picture's plane."""
+        return np.hypot(x, y) < self.reach * self._widths(rise)
+
+    def read(
+        self, disc: Disc, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M, 3) and (M,). Colours of the column, which `disc` shows, at places (M,), (M,) at distances (M,) from its
+        plane, and how deep in it they are, in radii; negative outside."""
+        wide = self._widths(rise)
+        x, y = x / np.maximum(wide, LEAST), y / np.maximum(wide, LEAST)
+        depth = np.where(wide > LEAST, read_map(self.depth, x, y) * wide, -1).astype(np.float32)
+        colours = self.colours.read(x, y)
+        return colours + _beside(rise)[:, None] * (disc.read(x, y) - colours), depth
+
+    def change(
+        self, right: NDArray[np.floating], off: NDArray[np.floating], z: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """(M, 3). How far this radial picture's colours at these heights (M,) are from its usual ones, at distances
+        (M,) from the axis along its plane and (M,) across it."""
+        if not self.shape.any():
+            return np.zeros((len(z), 3), np.float32)
+        radius = np.hypot(right, off)
+        usual = np.median(self.colours.rgb[self.shape], axis=0)
+        sides = [self.colours.read(side * radius, z) for side in (1, -1)]
+        part = (0.5 + 0.5 * right / np.maximum(radius, 1e-6))[:, None]
+        change = part * sides[0] + (1 - part) * sides[1] - usual
+        return np.asarray((1 - _beside(z - self.height))[:, None] * change, np.float32)
+
+    def _widths(self, rise: NDArray[np.floating]) -> NDArray[np.float32]:
+        return np.interp(rise + self.height, disc_grid()[1][0], self.widths).astype(np.float32)
+
+
+def _without_flares(wide: NDArray[np.floating], rind: float) -> NDArray[np.floating]:
+    """(P,). Widths at the heights of a disc's pixels, without what they grow by towards a rind of this depth, as that
+    is part of it. They end there."""
+    out = np.zeros_like(wide)
+    within = int((disc_grid()[0][DISC_PIXELS // 2 :, 0] < 1 - rind - SMOOTH).sum())
+    for half in (slice(DISC_PIXELS // 2, None), slice(DISC_PIXELS // 2 - 1, None, -1)):  # from the middle to a pole
+        side = wide[half][:within]
+        narrowest = within // 2 + int(side[within // 2 :].argmin())
+        out[half][:within] = np.where(np.arange(within) < narrowest, side, side[narrowest])
+    return out
+
+
+def _beside(rise: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(M,). How much of what is small in a horizontal picture is left at distances (M,) from its plane."""
+    return np.exp(-np.square(rise / CLOSE))
+
+
+def _without_small(disc: Disc, shape: NDArray[np.bool_]) -> Disc:
+    """The colours of a shape (P, P) in a face, and of nothing beside it, without what is small in it."""
+    return Disc(enlarged(Medians(filled_in(disc.rgb, ~shape)).over(SMALL)))
+
+
+def _shown(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
+    """(P, P). What stands out in a radial face around the axis, as far out as a column may reach, in one piece."""
+    near = np.abs(disc_grid()[0]) < MOST * reach
+    found = ndimage.binary_fill_holes(stands_out(disc, reach, height) & near & (disc_radius() < 1))
+    parts, _ = ndimage.label(found)
+    middle = slice(DISC_PIXELS // 2 - 1, DISC_PIXELS // 2 + 1)
+    sizes = np.bincount(parts[middle].ravel(), minlength=2)
+    sizes[0] = 0
+    return parts == sizes.argmax() if sizes.any() else np.zeros_like(found)
+
+
+def _depth(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(P, P). Distance in radii of each pixel from the edge of a shape, negative outside of it."""
+    if not shape.any():
+        return np.full(shape.shape, -1, np.float32)
+    depth = ndimage.distance_transform_edt(shape) - ndimage.distance_transform_edt(~shape)
+    return (depth * PIXEL).astype(np.float32)
