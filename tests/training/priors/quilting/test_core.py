@@ -15,7 +15,9 @@ from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, even_
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 from training.priors.exemplar.quilting.rinds import rind_of
+from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import MARGIN, Core
+from training.priors.exemplar.quilting.things.cores import find_core
 
 FLESH, DARK, RIND = np.array([0.9, 0.8, 0.6]), np.array([0.2, 0.1, 0.05]), np.array([0.7, 0.2, 0.2])
 REACH = 0.3
@@ -45,9 +47,17 @@ def pips() -> NDArray[np.bool_]:
     return np.hypot((np.abs(x) - 0.12) / 0.05, y / TALL) < 1
 
 
-def core_of(disc: Disc, *radial: Disc) -> Core:
+def found_in(disc: Disc, *radial: Disc) -> Core | Column:
     """The core of a horizontal picture, with what radial ones show of it."""
-    return Core.across(even_around(disc), rind_of(disc, True)[0], [even_sides(one) for one in radial], 0.0)
+    rinds = [rind_of(disc, True)[0], max((rind_of(one, False)[0] for one in radial), default=0.0)]
+    return find_core(disc, even_around(disc), rinds[0], [even_sides(one) for one in radial], rinds[1], 0.0)
+
+
+def core_of(disc: Disc, *radial: Disc) -> Core:
+    """The same where it ends."""
+    core = found_in(disc, *radial)
+    assert isinstance(core, Core)
+    return core
 
 
 def test_pictures_are_looked_at_in_threads_so_no_warning_of_the_process_is_hidden(
@@ -82,7 +92,32 @@ def test_what_is_taller_than_wide_in_radial_pictures_is_a_column() -> None:
     column = face((np.abs(x) < 0.1) & (np.abs(y) < 0.7))
     disc = face(np.hypot(x, y) < 0.12)
     assert core_of(disc).reach > 0
-    assert core_of(disc, column).reach == 0
+    assert isinstance(found_in(disc, column), Column)
+
+
+def test_a_column_has_the_shape_of_its_picture_and_is_as_wide_as_radial_ones_show_it() -> None:
+    """Half as wide at the top, and at the upper end a flat top; in every cut, the solid that both pictures are of."""
+
+    def wide(z: NDArray[np.floating]) -> NDArray[np.floating]:
+        return np.where(np.abs(z) < 0.7, 0.75 - 0.35 * z, 0)
+
+    x, y = disc_grid()
+    disc, column = face(np.hypot(x, y / 0.6) < 0.2), face(np.abs(x) < 0.2 * wide(y) / wide(np.array(0.0)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        made = make_quilt([disc], [column], 0, lambda part: None)
+    axis = ((np.arange(160) + 0.5) / 160 * 2 - 1).astype(np.float32) * 0.8
+    u, v = (a.ravel() for a in np.meshgrid(axis, axis))
+    for points in (
+        *(np.column_stack([u, v, np.full(len(u), z)]) for z in (-0.6, -0.3, 0.2, 0.4, 0.6)),
+        *(np.column_stack([u * np.cos(t), u * np.sin(t), v]) for t in (0.5, 1.0, np.pi / 2, 2.2)),
+        np.column_stack([u, np.full(len(u), 0.06), v]),
+    ):
+        some = points[np.linalg.norm(points, axis=1) < 0.85].astype(np.float32)
+        size = 0.2 * wide(some[:, 2]) / wide(np.array(0.0))
+        truth = np.hypot(some[:, 0], some[:, 1] / 0.6) < size
+        wrong = is_dark(made, some) != truth
+        assert wrong.sum() < 0.1 * max(truth.sum(), 1), (points[0], wrong.sum(), truth.sum())
 
 
 def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() -> None:

@@ -146,7 +146,7 @@ class Source:
         things = self.seeds.regions | (self.sheets > FAINT_SHEET) | core.shape
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
-        if has_core and isinstance(core, Core):  # a column goes on beside either plane
+        if has_core and not (self.is_horizontal and isinstance(core, Column)):  # which goes on beside its picture
             relief = relief.closing(parts.things, parts.strength, core.region, hidden)
         tones = smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE)
         return replace(self, core=core, even=even, parts=parts, relief=relief, tones=tones)

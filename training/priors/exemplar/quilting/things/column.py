@@ -91,7 +91,7 @@ class Column:
     def holds(self, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(...). Whether the column may be at places (...), (...) of the ball and signed distances (...) from the
         horizontal picture's plane."""
-        return np.hypot(x, y) < self.reach * self._widths(rise)
+        return np.hypot(x, y) < MOST * self.reach * self._widths(rise)  # radial pictures show it that wide
 
     def read(
         self, disc: Disc, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]

@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball, OwnHeight
-from training.priors.exemplar.quilting.disc import disc_radius
+from training.priors.exemplar.quilting.disc import Disc, disc_radius, read_map
 from training.priors.exemplar.quilting.labels import Label, Source
 from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import MARGIN, Core, find_shape, seen_along
 
-__all__ = ["Cores", "find_cores"]
+__all__ = ["Cores", "find_core", "find_cores"]
 
 ALONE = 0.015
 """Distance in radii from a picture's own plane within which other pictures' cores fade: the plane shows its picture."""
 
-COLUMN_ALONE = 0.008
-"""The same for a column, which passes through all planes: of half a film."""
+COLUMN_ALONE = 0.006
+"""The same for a column, which passes through all planes: it is back where a radial picture closes beside its own."""
 
 
 @dataclass(frozen=True)
@@ -52,40 +52,63 @@ class Cores:
         rows = np.flatnonzero(self.across.core.holds(points[:, 0], points[:, 1], rise))
         if not len(rows):
             return rgb, cover
-        (x, y, z), rise = points[rows].T, rise[rows]
+        rise, (x, y, _) = rise[rows], points[rows].T
         turns = np.arange(len(self.along))[:, None] * np.pi / max(len(self.along), 1)
         right, off = x * np.cos(turns) + y * np.sin(turns), y * np.cos(turns) - x * np.sin(turns)
-        is_column = isinstance(self.across.core, Column)
-        alone = _seen(np.stack([rise, *off]), COLUMN_ALONE if is_column else ALONE)
-        if is_column:
-            stretch = np.float32(1 / np.sqrt(max(1 - self.height**2, 0.1)))  # as `Ball.level` at the picture's height
-            places = [(self.across, stretch * x, stretch * y, rise)]
-            change = self._change(right, off, z)
+        across = self.across.core
+        if isinstance(across, Column):
+            rgb[rows], cover[rows] = self._column(across, points[rows], rise, right, off)
         else:
-            u, v = Ball.of(points[rows]).level.T
-            places = [(self.across, u, v, rise), *zip(self.along, right, [z] * len(right), off, strict=True)]
-            change = np.float32(0)
-        depth, colours, covered = np.full(len(rows), -np.inf, np.float32), rgb[rows], cover[rows]
-        for n, (source, u, v, away) in enumerate(places):
-            shown, deep = source.core.read(source.disc, u, v, away)
-            shown += change
+            rgb[rows], cover[rows] = self._closed(points[rows], rise, right, off)
+        return rgb, cover
+
+    def _closed(
+        self,
+        points: NDArray[np.float32],
+        rise: NDArray[np.float32],
+        right: NDArray[np.floating],
+        off: NDArray[np.floating],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """What `read` gives for points (M, 3) at distances (M,) from the horizontal picture's plane, and at places
+        (N, M) along and off the planes of N radial ones, of cores that end."""
+        alone = _seen(np.stack([rise, *off]), ALONE)
+        u, v = Ball.of(points).level.T
+        places = [(self.across, u, v, rise), *zip(self.along, right, [points[:, 2]] * len(right), off, strict=True)]
+        colours, covered = np.zeros((len(rise), 3), np.float32), np.zeros(len(rise), np.float32)
+        depth = np.full(len(rise), -np.inf, np.float32)
+        for n, (source, x, y, away) in enumerate(places):
+            shown, deep = source.core.read(source.disc, x, y, away)
             covers = _passed(deep) * np.delete(alone, n, 0).prod(0)
             deeper = _passed(deep - depth)  # where two meet, the one that a place is deeper in
             colours *= (1 - covers * deeper)[:, None]
             colours += (covers * (1 - covered * (1 - deeper)))[:, None] * shown
             covered += covers * (1 - covered)
             depth = np.maximum(depth, deep)
-        rgb[rows], cover[rows] = colours, covered
-        return rgb, cover
+        return colours, covered
 
-    def _change(
-        self, right: NDArray[np.floating], off: NDArray[np.floating], z: NDArray[np.floating]
-    ) -> NDArray[np.float32] | np.float32:
-        """(M, 3). How far a column's colours at heights (M,) are from usual ones, as the mean of radial pictures; their
-        places along each one's plane and off it are (N, M)."""
-        columns = [(one.core, *at) for one, *at in zip(self.along, right, off, strict=True)]
-        changes = [core.change(u, v, z) for core, u, v in columns if isinstance(core, Column)]
-        return np.mean(changes, axis=0) if changes else np.float32(0)
+    def _column(
+        self,
+        across: Column,
+        points: NDArray[np.float32],
+        rise: NDArray[np.float32],
+        right: NDArray[np.floating],
+        off: NDArray[np.floating],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The same of a column: radial pictures show it in their own planes, and the horizontal one between them."""
+        x, y, z = points.T
+        colours, covered = np.zeros((len(rise), 3), np.float32), np.zeros(len(rise), np.float32)
+        change, left = np.zeros((len(rise), 3), np.float32), np.ones(len(rise), np.float32)
+        for source, at, away in zip(self.along, right, off, strict=True):
+            if isinstance(source.core, Column):
+                own, covers = 1 - _seen(away, COLUMN_ALONE), _passed(read_map(source.core.depth, at, z))
+                colours += (own * covers * (1 - covered))[:, None] * source.disc.read(at, z)
+                covered += own * covers * (1 - covered)
+                left *= 1 - own * (1 - covers)
+                change += source.core.change(at, away, z) / len(self.along)
+        stretch = np.float32(1 / np.sqrt(max(1 - self.height**2, 0.1)))  # as `Ball.level` at the picture's height
+        shown, deep = across.read(self.across.disc, stretch * x, stretch * y, rise)
+        covers = _passed(deep) * left * (1 - covered)
+        return colours + covers[:, None] * (shown + change), covered + covers
 
 
 def find_cores(
@@ -94,22 +117,27 @@ def find_cores(
     """The cores of horizontal pictures, and of radial ones what they show of the first one's, which is at a height in
     the ball."""
     faces = [source.even for source in along]
-
-    def found(source: Source) -> Core | Column:
-        shape = find_shape(source.even, source.rind)
-        if shape is None:
-            return Core.none()
-        reach = float(disc_radius()[shape].max()) + MARGIN
-        seen = [shown for one in faces if (shown := seen_along(one, reach, height))]
-        if sum(shown.is_column for shown in seen) > len(seen) / 2:
-            return Column.across(source.disc, shape, faces, max(one.rind for one in along), height)
-        return Core.across(shape, seen)
-
-    cores = [found(source) for source in across]
+    rind = max((source.rind for source in along), default=0.0)
+    cores = [find_core(source.disc, source.even, source.rind, faces, rind, height) for source in across]
     first = cores[0]
     if isinstance(first, Column):
         return cores, [first.along(source.bare.even) for source in along]  # its seeds are laid apart
     return cores, [Core.along(face, first, height) for face in faces]
+
+
+def find_core(
+    disc: Disc, even: Disc, rind: float, along: Sequence[Disc], rind_along: float, height: float
+) -> Core | Column:
+    """The core of a horizontal face with a rind of this depth in radii, at a height in the ball, as radial faces with
+    rinds of another depth show it. `even` and `along` have even tones."""
+    shape = find_shape(even, rind)
+    if shape is None:
+        return Core.none()
+    reach = float(disc_radius()[shape].max()) + MARGIN
+    seen = [shown for one in along if (shown := seen_along(one, reach, height))]
+    if sum(shown.is_column for shown in seen) > len(seen) / 2:
+        return Column.across(disc, shape, along, rind_along, height)
+    return Core.across(shape, seen)
 
 
 def _passed(depth: NDArray[np.floating]) -> NDArray[np.floating]:
