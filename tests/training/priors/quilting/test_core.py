@@ -231,3 +231,13 @@ def test_a_long_core_keeps_its_colour_in_the_light_of_another_picture() -> None:
 )
 def test_of_photographs_stars_are_cores(name: str, least: float, most: float) -> None:
     assert least <= core_of(photograph(name)).reach <= most
+
+
+@pytest.mark.parametrize("pair", [("orange_h1", "orange_v6"), ("orange_h6", "orange_v4"), ("orange_h4", "orange_v2")])
+def test_of_photographs_pith_is_a_column_that_no_rind_widens(pair: tuple[str, str]) -> None:
+    across, along = (photograph(name) for name in pair)
+    column = found_in(across, match_light(along, across))
+    assert isinstance(column, Column)
+    level = disc_grid()[1][0]
+    assert column.widths[np.abs(level) < 0.3].min() > 0.4
+    assert column.widths[np.abs(level) > 0.75].max() < 1.0

@@ -34,11 +34,11 @@ LEVEL = 0.15
 its height is not how wide the column is."""
 
 MOST = 1.5
-"""Largest width over that one: where the column meets the rind at the poles, it has no width of its own."""
+"""Largest width over that one, and largest distance from the axis over that in the horizontal picture: what is wider
+is joined to the column, such as a membrane."""
 
 LEAST = 0.05
 """Least such width: less is its end."""
-
 
 SMALL = 0.07
 """Radius in radii of the medians that leave what runs along the axis: nothing as small as a seed is left."""
