@@ -108,8 +108,7 @@ class Core:
         if not core.reach:
             return core
         x, y = disc_grid()
-        held = core.holds(x, np.zeros_like(x), y - height)
-        shape = ndimage.binary_fill_holes(stands_out(disc, core.reach, height) & held)
+        shape = stands_out(disc, core.reach, height) & core.holds(x, np.zeros_like(x), y - height)
         if not shape.any():
             return cls.none()
         form = _form(shape)
@@ -191,7 +190,7 @@ def seen_along(disc: Disc, reach: float, height: float) -> Shown | None:
     not show it."""
     x, y = disc_grid()
     level, away = y[0], np.abs(x[:, 0])
-    found = ndimage.binary_fill_holes(stands_out(disc, reach, height)[away < reach])
+    found = stands_out(disc, reach, height)[away < reach]
     part = ndimage.gaussian_filter1d(found.mean(0), SMOOTH / PIXEL)
     top = int(np.where(np.abs(level - height) < NEAR, part, -1).argmax())
     if part[top] < LEAST:
