@@ -24,7 +24,7 @@ demo: $(READY)
 	@tools/ensure_gl.sh
 	$(BIN)/fruitninja-train sample_scenes/watermelon/watermelon.ply -o out/watermelon \
 	    --exemplar horizontal=sample_scenes/watermelon/horizontal_1.png \
-	    --exemplar radial=sample_scenes/watermelon/radial_1.png --up z
+	    --exemplar radial=sample_scenes/watermelon/radial_1.png --up z --detail draft
 	$(BIN)/fruitninja-render out/watermelon/watermelon.ply -o out/watermelon/opened.png --plane 0.35,-0.2,1,0
 	@echo
 	@echo "Pictures: out/watermelon/opened.png (cut open), out/watermelon/cuts.png (six cuts nobody trained)"
