@@ -90,7 +90,7 @@ class Core:
         radius = disc_radius()
         reach = float(radius[shape].max()) + MARGIN
         if seen:
-            under, over, wide = (float(np.mean([getattr(s, a) for s in seen])) for a in ("under", "over", "wide"))
+            under, over, wide = np.mean([(shown.under, shown.over, shown.wide) for shown in seen], axis=0).tolist()
             tall = (under + over) / 2 * float(np.quantile(radius[shape], MOST_OF)) / wide
         else:
             under = over = tall = float(np.sqrt(shape.sum() / np.pi)) * PIXEL
