@@ -3,10 +3,10 @@
     python -m benchmarks.batch_scaling [--quick] [--scenes 4] [--workers 1,2] [--preload FILE] [-o docs/charts]
 
 Trains the same small scenes (the sample orange with several seeds, one iteration at draft detail) with each of the
-numbers of workers, each time from nothing. The cluster's start-up is reported apart from the training, as are the
-seconds that scenes wait while nobody works on them. With --preload every worker runs a file first:
-tests/helpers/workers/batch_worker.py makes runs of a second or two, which show what the workers themselves cost.
-Writes batch_scaling.png and .json, which has the numbers.
+numbers of workers, each time from nothing, and at least one scene for each worker. The cluster's start-up is reported
+apart from the training, as are the seconds that scenes wait while nobody works on them. With --preload every worker
+runs a file first: tests/helpers/workers/batch_worker.py makes runs of a second or two, which show what the workers
+themselves cost. Writes batch_scaling.json, which has the numbers, and batch_scaling.png anew after each batch.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import psutil
 from benchmarks.support.charts import ACCENT, QUIET, plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of
 from engine.io.files import write_json
+from engine.threads import one_thread_for_blas
 from training.batch import Outcome, run_grid
 from training.batch.scene import scene_task
 from training.families import Family
@@ -94,15 +95,24 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     folder = out_folder(options)
     count, preload = (2, str(SMALL_RUNS)) if options.quick else (options.scenes, options.preload)
+    one_thread_for_blas()  # as `fruitninja-batch` does, for its workers too
     if preload:
         dask.config.set({"distributed.worker.preload": [preload]})
-    rows = []
+    rows: list[dict[str, Any]] = []
     for workers in map(int, options.workers.split(",")):
-        rows.append(measure(workers, count))
+        rows.append(measure(workers, max(count, workers)))
         print(rows[-1], flush=True)
+        if folder:
+            figures = summary(rows, preload)
+            write_json(folder / "batch_scaling.json", figures)
+            draw(figures, folder / "batch_scaling.png")
+
+
+def summary(rows: list[dict[str, Any]], preload: str | None) -> dict[str, Any]:
+    """The rows, the machine, and the bound that its cores set."""
     cores = os.cpu_count() or 1
     bound = 3600 * cores / min(row["processor_seconds_per_scene"] for row in rows)
-    figures = {
+    return {
         "cores": cores,
         "preload": preload and Path(preload).name,
         "memory_gb": round(psutil.virtual_memory().total / 2**30),
@@ -113,9 +123,6 @@ def main(arguments: list[str] | None = None) -> None:
         "processor seconds of a scene; then by memory, and the last scenes of a batch leave workers idle for at most "
         "one scene's time. `load` says what else the machine was doing: its cores are shared when it is above workers.",
     }
-    if folder:
-        write_json(folder / "batch_scaling.json", figures)
-        draw(figures, folder / "batch_scaling.png")
 
 
 def draw(figures: dict[str, Any], path: Path) -> None:
@@ -125,7 +132,7 @@ def draw(figures: dict[str, Any], path: Path) -> None:
     workers = [row["workers"] for row in figures["rows"]]
     rate = [row["scenes_per_hour"] for row in figures["rows"]]
     axis.plot(workers, rate, "o-", color=ACCENT, label="measured")
-    axis.plot(workers, [rate[0] * n for n in workers], "--", color=QUIET, label="in proportion to one worker")
+    axis.plot(workers, [rate[0] * n / workers[0] for n in workers], "--", color=QUIET, label="in proportion")
     axis.axhline(figures["bound_scenes_per_hour_of_all_cores"], color=QUIET, linewidth=0.8)
     axis.annotate(f"all {figures['cores']} cores busy", (1, figures["bound_scenes_per_hour_of_all_cores"]), (0, 4),
                   textcoords="offset points", color=QUIET)  # fmt: skip

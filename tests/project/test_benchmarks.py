@@ -11,15 +11,16 @@ from benchmarks.support.options import CHARTS, out_folder, parser_of
 from tests.paths import ROOT
 
 COMMANDS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if path.stem != "__init__")
+FOLDERS = sorted(path.parent.name for path in (ROOT / "benchmarks").glob("*/__main__.py"))
 PHOTOGRAPHS = ["photographs.changed", "photographs.faces", "photographs.insides"]
 READERS = ["readers.corpus", "readers.formats", "readers.fuzz"]
 NO_CHARTS = {"readers.corpus", "readers.fuzz"}
 """The first writes a table to a given file, the second prints."""
 
 
-@pytest.mark.parametrize("name", [*COMMANDS, *PHOTOGRAPHS, *READERS])
+@pytest.mark.parametrize("name", [*COMMANDS, *FOLDERS, *PHOTOGRAPHS, *READERS])
 def test_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    main = importlib.import_module(f"benchmarks.{name}").main
+    main = importlib.import_module(f"benchmarks.{name}" + (".__main__" if name in FOLDERS else "")).main
     with pytest.raises(SystemExit, match=r"^0$"):
         main(["--help"])
     said = capsys.readouterr().out

@@ -1,0 +1,1 @@
+"""How the main job and a frame scale with threads: `python -m benchmarks.threads`."""
