@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 import zipfile
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -53,6 +57,33 @@ for name in COMMANDS:
     assert callable(entry_points(group="console_scripts")[name].load())
 print(app.__file__)
 """
+
+
+EXTRAS = (
+    "engine/export/meshes",
+    "engine/export/volumes",
+    "training/evaluate/charts.py",
+    "training/priors/diffusion",
+)
+"""What says which extra it needs when that is missing."""
+
+
+def test_what_is_imported_is_a_dependency() -> None:
+    """Imports at the top of a module work with the plain installation, without the extras."""
+    needed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    plain = {re.split(r"[^\w-]", name, maxsplit=1)[0].lower() for name in needed}
+    known = packages_distributions()
+    missing = []
+    for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
+        if any(path.is_relative_to(ROOT / room) for room in EXTRAS):
+            continue
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+            for top in {name.partition(".")[0] for name in names} - set(PACKAGES) - sys.stdlib_module_names:
+                if not plain & {name.lower().replace("_", "-") for name in known.get(top, ())}:
+                    missing.append(f"{path.relative_to(ROOT)}: {top}")
+    assert not missing
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from engine.errors import InputError
 try:
     import lib3mf  # noqa: F401
     import manifold3d  # noqa: F401
-    import skimage  # noqa: F401
     import xatlas  # noqa: F401
 except ImportError as error:
     raise InputError(f"meshes need more packages ({error.name} is missing); pip install fruitninja[export]") from error
