@@ -3,10 +3,10 @@
     python -m benchmarks.threads [--quick] [--threads 1,2] [--scenes orange_others] [--parts draft,frames,standard]
                                  [--keep] [-o docs/charts]
 
-Trains a capture with two pictures of other individuals, so that its inside is quilted, once for each detail and number
-of threads, each time in a fresh process with the seconds by stage from its report.json. Frames are of such an object in
-draft and 1280 x 720: of the CPU reference, forward and with gradients of all parameters, of the window's software path,
-and a face at rest that fills the picture, read from the quilt. A first run, which is not timed, compiles the kernels.
+Trains a capture with two pictures, once for each detail and number of threads, each time in a fresh process with the
+seconds by stage from its report.json. Frames are of such an object in draft and 1280 x 720: of the CPU reference,
+forward and with gradients of all parameters, of the window's software path, and a face at rest that fills the picture,
+read from the inside. A first run, which is not timed, compiles the kernels.
 
 A number of threads is a number of processors that the process may run on, since that is what the program and its
 libraries count; whole cores come before the second threads of cores. Only Linux has this. `same_results` says whether

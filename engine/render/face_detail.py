@@ -23,11 +23,12 @@ from engine.scene.image import Picture
 from engine.scene.inside import Inside
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
+from engine.threads import cores
 
 __all__ = ["RIM", "Detailed", "FaceDetail", "FaceReading", "detailed", "detailed_from", "read_face", "straight_face"]
 
-BLOCK = 100_000
-"""Points that are read at once, a tenth of a second on two cores: a reading no longer wanted ends that soon. For a
+OF_A_CORE = 50_000
+"""Points for each core that are read at once, a tenth of a second: a reading no longer wanted ends that soon. For a
 quilt, four times as many take as long per point; with an eighth each point takes half as long again."""
 
 TOLERANCE = 0.1
@@ -68,7 +69,7 @@ class _Face:
 
 
 class FaceDetail:
-    """A picture whose faces are read from the inside, BLOCK pixels at a time."""
+    """A picture whose faces are read from the inside, some pixels at a time."""
 
     def __init__(
         self,
@@ -96,13 +97,13 @@ class FaceDetail:
 
     def advance(self) -> None:
         """Reads the next pixels."""
-        face = self._faces[0]
-        rows = slice(self._done, self._done + BLOCK)
+        face, count = self._faces[0], OF_A_CORE * cores()
+        rows = slice(self._done, self._done + count)
         rgb = face.inside.at(face.points[rows], face.footprint) * face.light[rows, None]
         flat = self.rgb.reshape(-1, 3)
         pixels, share = face.pixels[rows], face.share[rows, None]
         flat[pixels] += share * (rgb - flat[pixels])
-        self._done += BLOCK
+        self._done += count
         if self._done >= len(face.pixels):
             self._faces.pop(0)
             self._done = 0
@@ -132,9 +133,7 @@ def read_face(picture: Picture, camera: Camera, piece: Piece, solid: Detailed) -
     """The face that an orthographic camera straight in front of it sees; `picture` is what it sees of the atoms."""
     rgb = picture.rgb.copy()
     for face in _faces_of(picture, camera, piece, solid, False):
-        for first in range(0, len(face.pixels), BLOCK):
-            rows = slice(first, first + BLOCK)
-            rgb.reshape(-1, 3)[face.pixels[rows]] = face.inside.at(face.points[rows], face.footprint)
+        rgb.reshape(-1, 3)[face.pixels] = face.inside.at(face.points, face.footprint)
     return FaceReading(camera, rgb)
 
 
