@@ -62,7 +62,6 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks.worn_captures
 	$(BIN)/python -m benchmarks.large
 	$(BIN)/python -m benchmarks.batch_scaling
-	$(BIN)/python -m benchmarks.threads
 	$(BIN)/python -m benchmarks.frozen_geometry
 	$(BIN)/python -m benchmarks.cpu_renderer
 	$(BIN)/python -m benchmarks.gl_frames

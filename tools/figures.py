@@ -148,6 +148,21 @@ def of_faces() -> list[str]:
     return [*lines, row("SSIM at 768 pixels", *(f"{s['atoms']:.2f} / {s['inside']:.2f}" for s in ssim))]
 
 
+def of_threads() -> list[str]:
+    """Seconds of a draft's longest stages, by the number of threads."""
+    drafts = [found["seconds"] for found in chart("threads")["rows"] if found["part"] == "draft"]
+    return [
+        row(stage, *(f"{seconds[stage]:.0f}" for seconds in drafts)) for stage in ("labels", "refit", "cuts", "whole")
+    ]
+
+
+def of_batches() -> list[str]:
+    """Scenes an hour by the number of workers, on two machines."""
+    found = [one for name in ("batch_scaling", "batch_scaling_16") for one in chart(name)["rows"]]
+    found.sort(key=lambda one: one["workers"])
+    return [row("scenes an hour", *(f"{one['scenes_per_hour']:.0f}" for one in found))]
+
+
 TABLES: tuple[Callable[[], list[str]], ...] = (
     of_photographs,
     of_captures,
@@ -156,6 +171,8 @@ TABLES: tuple[Callable[[], list[str]], ...] = (
     of_faces,
     of_samples,
     of_methods,
+    of_threads,
+    of_batches,
 )
 
 ON_THE_FRONT_PAGE = (of_photographs, of_captures)
