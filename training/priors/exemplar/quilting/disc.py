@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.medians import Ranks
 from training.priors.exemplar.pictures import Picture
@@ -210,7 +211,7 @@ def halo(hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(P, P). 1 where pixels of a disc are `hidden` (P, P) and close around them, 0 elsewhere."""
     if not hidden.any():
         return np.zeros(hidden.shape, np.float32)
-    away = ndimage.distance_transform_edt(~hidden)
+    away = depth_in(~hidden)
     return np.clip(HALO / PIXEL + 0.5 - away, 0, 1).astype(np.float32)
 
 
