@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.priors.exemplar.sampling import lengths, opened, read_as_scipy, resampled
@@ -36,7 +37,7 @@ def test_a_picture_is_enlarged_as_scipy_does() -> None:
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_a_picture_is_read_as_scipy_does_to_the_bit(dtype: type) -> None:
     random = np.random.default_rng(1)
-    values = random.standard_normal((31, 47, 3)).astype(dtype)
+    values: NDArray[np.floating] = random.standard_normal((31, 47, 3)).astype(dtype)
     rows, columns = random.uniform(-5, 60, (2, 90, 80)).astype(dtype)
     rows[0, :47], columns[0, :47] = 30, np.arange(47)  # on pixels of the last row
     rows[1, :31], columns[1, :31] = np.arange(31), 46
@@ -52,7 +53,7 @@ def test_a_picture_is_read_as_scipy_does_to_the_bit(dtype: type) -> None:
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_lengths_are_numpys_to_the_bit(dtype: type) -> None:
-    vectors = np.random.default_rng(0).standard_normal((4, 500, 4)).astype(dtype)
+    vectors: NDArray[np.floating] = np.random.default_rng(0).standard_normal((4, 500, 4)).astype(dtype)
     for some in (vectors[..., :3], vectors[::2, :, 1:], np.ascontiguousarray(vectors[..., :3])):
         assert np.array_equal(lengths(some), np.linalg.norm(some, axis=-1))
         assert lengths(some).dtype == dtype
