@@ -20,6 +20,7 @@ from app.model.knife import Stroke
 from app.model.pieces import Solid
 from app.model.project import Project, Viewing, Work, load_project, save_project
 from app.session.session import Session
+from engine.isolate.bodies import Bodies, find_bodies
 from engine.isolate.selection import Sphere, Step, removed
 from engine.scene.atoms import Atoms
 from engine.scene.gaussians import Gaussians
@@ -40,6 +41,24 @@ def shell() -> Gaussians:
 
 
 CAPTURE = beside(shell(), shell(), places=((0, 0, 0), (1.5, 0, 0)))
+
+
+FOUND: dict[bytes, Bodies] = {}
+"""The bodies of captures by where and how large their Gaussians are, which decides."""
+
+
+def find_once(gaussians: Gaussians) -> Bodies:
+    """`find_bodies`, but once for all the sessions that open the same capture."""
+    parts = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities)
+    key = b"".join(part.tobytes() for part in parts)
+    if key not in FOUND:
+        FOUND[key] = find_bodies(gaussians)
+    return FOUND[key]
+
+
+@pytest.fixture(autouse=True)
+def bodies_are_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("engine.isolate.selection.find_bodies", find_once)
 
 
 def moved(atoms: Atoms, x: float) -> Atoms:

@@ -32,6 +32,9 @@ class Driver:
 
     def __init__(self, window: Window, context: imgui.test_engine.TestContext) -> None:
         self.window, self.session, self.context = window, window.session, context
+        window.params.callbacks.before_imgui_render = self._skip_unseen
+        self._seen = False
+        """Whether frames are looked at, and must be painted."""
 
     def frames(self, count: int = 1) -> None:
         """Lets frames pass."""
@@ -106,8 +109,7 @@ class Driver:
 
     def picture(self, path: Path | None = None) -> NDArray[np.uint8]:
         """(H, W, 3). The whole window as it is now; also saved if a path is given."""
-        self.frames(2)
-        picture = self.between_frames(self._read)
+        picture = self.painted(self._read)
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(picture).save(path, compress_level=1)
@@ -139,9 +141,27 @@ class Driver:
             self.frames(1)
         return ended.result()
 
+    def painted(self, act: Callable[[], T]) -> T:
+        """Calls a function at the end of a frame that is painted in full, as the ones before it."""
+        self._seen = True
+        self.frames(2)
+        try:
+            return self.between_frames(act)
+        finally:
+            self._seen = False
+
     def gl_error(self) -> str:
         """OpenGL's error since the last call, which the script's own thread cannot query."""
-        return self.between_frames(lambda: self.window.ctx.error)
+        return self.painted(lambda: self.window.ctx.error)
+
+    def _skip_unseen(self) -> None:
+        """Leaves out the painting of ImGui's shapes, a third of a script's time without a graphics card, in frames that
+        nobody looks at. All else of a frame is done, and the object is drawn into its texture.
+
+        To ImGui the window has no extent, as a minimized one, until the next frame asks for its size again.
+        """
+        if not self._seen:
+            imgui.get_main_viewport().size = ImVec2(0, 0)
 
     def _read(self) -> NDArray[np.uint8]:
         assert self.window.ctx.error == "GL_NO_ERROR"

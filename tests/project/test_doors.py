@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from tests.paths import ROOT
@@ -115,6 +116,7 @@ def doors(path: Path) -> Iterator[tuple[str, int]]:
                 yield "guarded", node.lineno
 
 
+@cache
 def all_doors() -> list[tuple[str, str, int]]:
     """Kind, file and line of every door of the program."""
     files = [(path, path.relative_to(ROOT).as_posix()) for name in PACKAGES for path in (ROOT / name).rglob("*.py")]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
 from training.faces.completion import NEAR_BORDER
 from training.faces.edges import EDGE_GAIN, MIXED, cheapest_path, edge_cost, edge_strength, rims_apart
 
@@ -43,7 +44,7 @@ def without_bulges(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray
     cost = edge_cost(edge_strength(rgb))
     smooth = mask & _within_outline(cost, mask)
     parts, _ = ndimage.label(mask & ~smooth)
-    width = ndimage.distance_transform_edt(parts > 0)
+    width = depth_in(parts > 0)
     border = np.ones(mask.shape, bool)
     border[NEAR_BORDER:-NEAR_BORDER, NEAR_BORDER:-NEAR_BORDER] = False
     kept = mask.copy()

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.errors import InputError
+from engine.solid.distance_transform import depth_in
 from training.faces.background import find_background, find_main_surface, find_pattern, is_patterned
 from training.faces.completion import NEAR_BORDER, find_oval
 from training.faces.outline import find_mask, is_dimmed_around, largest_component
@@ -151,7 +152,7 @@ _MAY_BE = f"what was found may be a plate or board with the cut face on it; {_LO
 def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
     """The fraction of the outline of a thing (H, W) in a picture (H, W, 3) that has a third colour between the thing
     and what is behind it. Range [0, 1]."""
-    depth, away = ndimage.distance_transform_edt(mask), ndimage.distance_transform_edt(~mask)
+    depth, away = depth_in(mask), depth_in(~mask)
     across = np.sqrt(4 / np.pi * mask.sum())
     flesh = (depth > FLESH[0] * across) & (depth < FLESH[1] * across)
     behind = (away > BEHIND[0]) & (away < max(2 * BEHIND[0], BEHIND[1] * across))
@@ -204,8 +205,8 @@ def _before_pattern(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     unlike = ndimage.binary_opening(~pattern.shaded, iterations=2)
     mask &= ndimage.binary_dilation(largest_component(unlike), iterations=2)
     radius = HANGING * np.sqrt(4 / np.pi * mask.sum())
-    deep = ndimage.distance_transform_edt(mask) > radius
-    return largest_component(ndimage.distance_transform_edt(~deep) <= radius) if deep.any() else None
+    deep = depth_in(mask) > radius
+    return largest_component(depth_in(~deep) <= radius) if deep.any() else None
 
 
 def _without_arm(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
@@ -219,11 +220,11 @@ def _without_arm(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
     if not touching.any() or find_oval(mask, 1) is not None:
         return mask, ""
     wide = max(int(np.ptp(places)) + 1 for places in np.nonzero(touching))
-    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    depth = depth_in(np.pad(mask, 1))[1:-1, 1:-1]
     broad = depth > ARM / 2 * wide
     if not broad.any():
         return mask, ""
-    parts, _ = ndimage.label(mask & (ndimage.distance_transform_edt(~broad) > ARM / 2 * wide))
+    parts, _ = ndimage.label(mask & (depth_in(~broad) > ARM / 2 * wide))
     arms = [n for n in np.unique(parts[touching]) if n and (parts == n).sum() > wide * wide / 2]
     if not arms:
         return mask, ""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
 from training.faces.reduced import SIDE, contrast_layers, reduce_face
 
 __all__ = ["CoreLine", "find_core_line", "lean_of", "line_ends"]
@@ -150,11 +151,15 @@ def line_ends(mask: NDArray[np.bool_], point: NDArray[np.float64], along: NDArra
 def _mirror_costs(small: NDArray[np.float32], leans: NDArray, shifts: NDArray) -> NDArray[np.float64]:
     """(len(leans), len(shifts)). How much a reduced face differs from its mirror image about each line."""
     costs = np.empty((len(leans), len(shifts)))
+    width = small.shape[1]
+    difference = np.empty_like(small)  # one array for all lines: making anew takes as long as what is done with it
     for i, lean in enumerate(leans):
         turned = ndimage.rotate(small, lean, reshape=False, order=1)
-        flipped = turned[:, ::-1]
+        flipped = np.concatenate([turned[:, ::-1]] * 2, axis=1)
         for j, shift in enumerate(shifts):
-            costs[i, j] = np.square(turned - np.roll(flipped, 2 * shift, axis=1)).sum()
+            first = -2 * shift % width
+            np.subtract(turned, flipped[:, first : first + width], out=difference)
+            costs[i, j] = np.square(difference, out=difference).sum()
     return costs
 
 
@@ -213,7 +218,7 @@ def _outgrowths(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[n
 
 def _opened(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     """(H, W). The part of a mask that is covered by discs of this radius, in pixels, that lie within it."""
-    deep = ndimage.distance_transform_edt(np.pad(mask, 1)) > radius
+    deep = depth_in(np.pad(mask, 1)) > radius
     if not deep.any():
         return np.zeros_like(mask)
-    return (ndimage.distance_transform_edt(~deep) <= radius)[1:-1, 1:-1]
+    return (depth_in(~deep) <= radius)[1:-1, 1:-1]

@@ -17,6 +17,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull
 
 from engine.errors import InputError
+from engine.solid.distance_transform import depth_in
 from training.faces.background import Background, find_background
 from training.faces.bulges import without_bulges
 from training.faces.completion import find_oval
@@ -196,7 +197,7 @@ def _move_to_edges(rgb: NDArray[np.float32], found: NDArray[np.bool_]) -> NDArra
     """
     if not found.any():
         return found
-    depth, away = _depth(found), ndimage.distance_transform_edt(~found)
+    depth, away = _depth(found), depth_in(~found)
     reach = REACH * depth.max()
     strength = edge_strength(rgb)
     markers = np.where(depth > reach, 1, np.where(away > reach, 2, 0)).astype(np.int16)
@@ -206,7 +207,7 @@ def _move_to_edges(rgb: NDArray[np.float32], found: NDArray[np.bool_]) -> NDArra
     levels = (strength / max(float(strength.max()), 1e-6) * 65535).astype(np.uint16)
     rival = ndimage.watershed_ift(levels, markers) == 1
     parts, _ = ndimage.label(rival ^ found)
-    width = ndimage.distance_transform_edt(parts > 0)
+    width = depth_in(parts > 0)
     cost = edge_cost(strength)
     moved = found.copy()
     for number, box in enumerate(ndimage.find_objects(parts), start=1):
@@ -224,7 +225,7 @@ def _settle_mixed_pixels(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> N
     """(H, W). The mask, with each pixel near its outline put on the side that it shows more of."""
     if not mask.any():
         return mask
-    signed = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
+    signed = depth_in(mask) - depth_in(~mask)
     smooth = ndimage.gaussian_filter(rgb, (0.7, 0.7, 0))  # less than the lens does, enough for grain
     if not (signed > MIXED).any() or not (signed < -MIXED).any():
         return mask
@@ -251,7 +252,7 @@ def _joined(mask: NDArray[np.bool_], more: NDArray[np.bool_]) -> NDArray[np.bool
 
 def _depth(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(H, W). Distance of each pixel of a mask from its outside, in pixels; what is beyond the picture is outside."""
-    return ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    return depth_in(np.pad(mask, 1))[1:-1, 1:-1]
 
 
 def _nearest(rgb: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+
+from engine.solid.distance_transform import depth_in
 
 __all__ = ["SECTORS", "SHADE", "LightAround", "light_around", "sectors_of"]
 
@@ -42,7 +43,7 @@ def light_around(
     """The light on the ground (H, W) of a picture (H, W, 3) beside a thing (H, W), up to `near` of its diameter away;
     None if too little ground is seen, or only black ground."""
     across = np.sqrt(4 / np.pi * found.sum())
-    away = ndimage.distance_transform_edt(~found)
+    away = depth_in(~found)
     room = away[ground & (away > 2)]
     if not len(room):
         return None

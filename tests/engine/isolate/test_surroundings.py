@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from engine.io.load import load
 from engine.isolate.selection import NO_FLOOR, NO_SURROUNDINGS, Sphere, isolated, removed, without_surroundings
-from engine.isolate.surroundings import object_ball
+from engine.isolate.surroundings import _directions, _nearest_directions, object_ball
 from engine.scene.gaussians import Gaussians
 from engine.solid.up_axis.detect import detect_up
 from tests.helpers.solids import joined, round_gaussians
@@ -168,3 +169,13 @@ def test_samples_have_none(name: str) -> None:
 def test_captures_of_things_alone_have_none() -> None:
     for path in (*sorted(SHARED.glob("splats/*")), SHARED / "formats/biker.compressed.ply"):
         assert object_ball(load(path).gaussians) is None, path
+
+
+def test_the_nearest_direction_is_the_one_of_a_tree() -> None:
+    directions = _directions()
+    points = np.random.default_rng(5).normal(size=(20_000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points = np.concatenate([points, directions, np.eye(3), -np.eye(3)])
+    nearest = np.empty(len(points), np.int64)
+    _nearest_directions(0, len(points), points, directions, nearest)
+    assert np.array_equal(nearest, cKDTree(directions).query(points)[1])

@@ -28,20 +28,27 @@ CUTS = {
 }
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["shaders", "kernels"])
-def drawn_by(request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    """The renderer by GLSL, and by the CPU's kernels as on software GL: the same laws for both."""
+@pytest.fixture(scope="module")
+def renderers() -> Iterator[dict[bool, Renderer]]:
+    """One renderer by GLSL and one by kernels, as they are needed."""
+    made: dict[bool, Renderer] = {}
+    yield made
+    for renderer in made.values():
+        renderer.release()
+
+
+@pytest.fixture(params=[True, False], ids=["shaders", "kernels"])
+def renderer(request: pytest.FixtureRequest, renderers: dict[bool, Renderer]) -> Iterator[Renderer]:
+    """The renderer by GLSL, and by the CPU's kernels as on software GL: the same laws for both. Each test has both, one
+    after the other, so that they share the pictures of the reference."""
     try:
-        renderer = Renderer(shaders=request.param)
+        if request.param not in renderers:
+            renderers[request.param] = Renderer(shaders=request.param)
     except GLMissing as missing:
         pytest.skip(str(missing))
-    yield renderer
-    renderer.release()
-
-
-@pytest.fixture
-def renderer(drawn_by: Renderer) -> Iterator[Renderer]:
-    assert drawn_by.ctx.error == "GL_NO_ERROR"
+    drawn_by = renderers[request.param]
+    with drawn_by.ctx:
+        assert drawn_by.ctx.error == "GL_NO_ERROR"
     yield drawn_by
     with drawn_by.ctx:
         assert drawn_by.ctx.error == "GL_NO_ERROR"

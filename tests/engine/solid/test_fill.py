@@ -19,7 +19,7 @@ from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
 from engine.scene.rotations import rotation_matrices
-from engine.solid.distance_transform import nearest, within
+from engine.solid.distance_transform import depth_in, nearest, within
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from engine.solid.opacity_field import opacity_field
@@ -101,6 +101,20 @@ def test_nearest_is_the_euclidean_distance() -> None:
     there, here = np.unravel_index(index.ravel(), mask.shape), np.unravel_index(np.arange(mask.size), mask.shape)
     assert np.allclose(np.linalg.norm(np.subtract(there, here), axis=0), distance.ravel(), atol=1e-5)
     assert np.isinf(nearest(np.zeros((2, 3, 4), bool))[0]).all()
+
+
+def test_depth_in_a_picture_is_scipys_to_the_bit() -> None:
+    random = np.random.default_rng(3)
+    for part in (0, 0.02, 0.5, 0.9, 0.99, 0.999, 1):
+        for shape in [(1, 1), (1, 40), (40, 1), (2, 3), (131, 97), *random.integers(1, 40, (20, 2))]:
+            mask = random.random(shape) < part
+            assert np.array_equal(depth_in(mask), distance_transform_edt(mask)), (part, shape)
+            assert np.array_equal(depth_in(mask.T), distance_transform_edt(mask.T)), (part, shape)
+    wide = np.ones((60, 2500), bool)  # wider than a task of columns
+    wide[0, 0] = wide[50, 1200] = False
+    assert np.array_equal(depth_in(wide), distance_transform_edt(wide))
+    disc = np.hypot(*np.ogrid[-500:700, -600:600]) < 450
+    assert np.array_equal(depth_in(disc), distance_transform_edt(disc))
 
 
 @pytest.mark.parametrize("radius", [0.0, 1.5, 5**0.5, 6.0, 11.0, 40.0])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.sampling import lengths, opened, resampled
+from training.priors.exemplar.sampling import lengths, opened, read_as_scipy, resampled
 
 
 @pytest.mark.parametrize("reach", [1, 3])
@@ -33,6 +34,26 @@ def test_a_picture_is_enlarged_as_scipy_does() -> None:
     assert np.abs(resampled(values, 40, 0.3) - wanted).max() < 1e-5
 
 
-def test_lengths_are_numpys_to_the_bit() -> None:
-    vectors = np.random.default_rng(0).standard_normal((4, 50, 3)).astype(np.float32)
-    assert np.array_equal(lengths(vectors), np.linalg.norm(vectors, axis=-1))
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_picture_is_read_as_scipy_does_to_the_bit(dtype: type) -> None:
+    random = np.random.default_rng(1)
+    values: NDArray[np.floating] = random.standard_normal((31, 47, 3)).astype(dtype)
+    rows, columns = random.uniform(-5, 60, (2, 90, 80)).astype(dtype)
+    rows[0, :47], columns[0, :47] = 30, np.arange(47)  # on pixels of the last row
+    rows[1, :31], columns[1, :31] = np.arange(31), 46
+    wanted = [
+        ndimage.map_coordinates(values[..., c], [rows, columns], order=1, mode="nearest", output=np.float32)
+        for c in range(3)
+    ]
+    assert np.array_equal(read_as_scipy(values, rows, columns), np.stack(wanted, -1))
+    assert np.array_equal(read_as_scipy(values[:, ::2], rows[0], columns[0])[:, 1],
+                          ndimage.map_coordinates(values[:, ::2, 1], [rows[0], columns[0]], order=1, mode="nearest",
+                                                  output=np.float32))  # fmt: skip
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_lengths_are_numpys_to_the_bit(dtype: type) -> None:
+    vectors: NDArray[np.floating] = np.random.default_rng(0).standard_normal((4, 500, 4)).astype(dtype)
+    for some in (vectors[..., :3], vectors[::2, :, 1:], np.ascontiguousarray(vectors[..., :3])):
+        assert np.array_equal(lengths(some), np.linalg.norm(some, axis=-1))
+        assert lengths(some).dtype == dtype

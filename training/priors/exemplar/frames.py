@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from engine.scene.camera import equator
 from engine.scene.grid import Body, Grid
+from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, fill_outside
 from training.priors.exemplar.sampling import read_bilinear
@@ -303,7 +304,7 @@ def scale_picture(picture: Picture, inradius: float, kind: Frame, cells: float) 
     rgb = np.pad(rgb, ((pad, pad), (pad, pad), (0, 0)), mode="edge")
     rgb = np.clip(np.where(mask[..., None], rgb, fill_outside(rgb, mask)), 0, 1)
     # The edge lies half a pixel outside the centre of the outermost pixel.
-    depth = np.maximum(ndimage.distance_transform_edt(mask) - 0.5, 0).astype(np.float32) / np.float32(OVER * inradius)
+    depth = np.maximum(depth_in(mask) - 0.5, 0).astype(np.float32) / np.float32(OVER * inradius)
     rows, columns = np.nonzero(mask)
     if kind == POLAR:
         middle = (float(columns.mean()) / OVER, float(rows.mean()) / OVER)

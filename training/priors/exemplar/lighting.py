@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
 from training.families import Kind
 
 __all__ = ["colour_gain", "flatten_light"]
@@ -56,7 +56,7 @@ def _medians(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np
 
 def _bands(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
     """(H, W). Band of depth of each pixel, -1 outside."""
-    depth = ndimage.distance_transform_edt(mask)
+    depth = depth_in(mask)
     band = np.minimum((depth / max(depth.max(), 1) * BANDS).astype(np.int64), BANDS - 1)
     return np.where(mask, band, -1)
 

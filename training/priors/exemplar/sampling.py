@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 
 from engine.threads import for_spans
 
-__all__ = ["blurred", "lengths", "opened", "read_bilinear", "read_trilinear", "reduced", "resampled", "smoothstep"]
+__all__ = [
+    "blurred",
+    "lengths",
+    "opened",
+    "read_as_scipy",
+    "read_bilinear",
+    "read_trilinear",
+    "reduced",
+    "resampled",
+    "smoothstep",
+]
 
 
 ROWS = 16
@@ -17,9 +27,22 @@ ROWS = 16
 
 
 def lengths(vectors: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(...). Lengths of vectors (..., 3). Bit-equal to NumPy's norm, in a ninth of its time."""
-    square = [np.square(vectors[..., c]) for c in range(3)]
-    return np.asarray(np.sqrt(square[0] + square[1] + square[2]))
+    """(...). Lengths of vectors (..., 3). Bit-equal to NumPy's norm, in a thirtieth of its time."""
+    found = np.empty(vectors.shape[:-1], vectors.dtype)
+    for_spans(_lengths, found.size, np.ascontiguousarray(vectors).reshape(-1, 3), found.reshape(-1))
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _lengths(
+    start: int,
+    stop: int,
+    vectors: NDArray[np.floating],  # [M, 3]
+    found: NDArray[np.floating],  # [M]
+) -> None:
+    for m in range(start, stop):
+        x, y, z = vectors[m, 0], vectors[m, 1], vectors[m, 2]
+        found[m] = np.sqrt(x * x + y * y + z * z)
 
 
 def reduced(values: NDArray[np.float32], n: int) -> NDArray[np.float32]:
@@ -124,6 +147,41 @@ def _read_bilinear(
             low = values[i, j, c] + b * (values[i, j + 1, c] - values[i, j, c])
             high = values[i + 1, j, c] + b * (values[i + 1, j + 1, c] - values[i + 1, j, c])
             out[m, k] = low + a * (high - low)
+
+
+def read_as_scipy(
+    values: NDArray[np.floating], rows: NDArray[np.floating], columns: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """(..., C). A picture (H, W, C) at places (...), (...) in pixels whose centres are at whole numbers; the values of
+    the border continue beyond it. Bit-equal to SciPy's map_coordinates of order 1 for each channel, which sums in
+    float64, in an eighth of its time."""
+    out = np.empty((rows.size, values.shape[2]), np.float32)
+    places = (np.ascontiguousarray(at, np.float64).reshape(-1) for at in (rows, columns))
+    for_spans(_read_as_scipy, len(out), np.ascontiguousarray(values), *places, out)
+    return out.reshape(*rows.shape, -1)
+
+
+@njit(cache=True, nogil=True)
+def _read_as_scipy(
+    start: int,
+    stop: int,
+    values: NDArray[np.floating],  # [H, W, C]
+    rows: NDArray[np.float64],  # [M]
+    columns: NDArray[np.float64],  # [M]
+    out: NDArray[np.float32],  # [M, C]
+) -> None:
+    height, width = values.shape[0], values.shape[1]
+    for m in range(start, stop):
+        u, v = min(max(rows[m], 0.0), height - 1.0), min(max(columns[m], 0.0), width - 1.0)
+        i, j = int(u), int(v)
+        below, right = min(i + 1, height - 1), min(j + 1, width - 1)
+        a, b = 1.0 - (u - i), 1.0 - (v - j)
+        for c in range(values.shape[2]):
+            total = np.float64(values[i, j, c]) * a * b
+            total += np.float64(values[i, right, c]) * a * (1.0 - b)
+            total += np.float64(values[below, j, c]) * (1.0 - a) * b
+            total += np.float64(values[below, right, c]) * (1.0 - a) * (1.0 - b)
+            out[m, c] = total
 
 
 def read_trilinear(

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
+
 __all__ = ["RUNS_THROUGH", "closed_heights"]
 
 RUNS_THROUGH = 1.0
@@ -42,7 +44,7 @@ def closed_heights(
     structure is half an ellipsoid over its inscribed width; its height in the middle is its half length.
     """
     heights = np.full(structure.shape, RUNS_THROUGH, np.float32)
-    inradius = float(ndimage.distance_transform_edt(flesh).max())
+    inradius = float(depth_in(flesh).max())
     row, column = np.ogrid[: structure.shape[0], : structure.shape[1]]
     radius = np.hypot(row - middle[0], column - middle[1])
     solid = (structure > 0.5) & flesh
@@ -52,7 +54,7 @@ def closed_heights(
     core = max(CORE * inradius, float(rings.max(initial=0) + 1))
     solid &= radius > core
     parts, _ = ndimage.label(solid)
-    depth = ndimage.distance_transform_edt(solid)
+    depth = depth_in(solid)
     under_rind = ndimage.binary_erosion(flesh, iterations=EDGE)
     for number, box in enumerate(ndimage.find_objects(parts), start=1):
         own = parts[box] == number

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.frames import Frame, ScaledPicture
 from training.priors.exemplar.layering.closed import RUNS_THROUGH, closed_heights
 from training.priors.exemplar.patches import OVER, POLAR, RADIAL
@@ -94,7 +95,7 @@ def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | 
     """
     rind = rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=kind != RADIAL)
     core = scaled.depth > rind
-    inradius = float(ndimage.distance_transform_edt(scaled.depth > 0).max())  # pixels
+    inradius = float(depth_in(scaled.depth > 0).max())  # pixels
     picture = _fill_mirrored(scaled.rgb, core)
     median = _wide_median(picture, WINDOW * inradius)
     contrast = np.linalg.norm(picture - median, axis=-1) * core
@@ -181,7 +182,7 @@ def _without_medium_structures(
     """
     wide = _wide_median(picture, WIDE_WINDOW * inradius)
     absorbed = (np.linalg.norm(median - wide, axis=-1) > high) & core
-    near = ndimage.distance_transform_edt(~absorbed) / (WINDOW * inradius) if absorbed.any() else np.inf
+    near = depth_in(~absorbed) / (WINDOW * inradius) if absorbed.any() else np.inf
     weight = 1 - smoothstep(np.broadcast_to(near, core.shape), 0.5, 1)[..., None]
     return (median + weight * (wide - median)).astype(np.float32), absorbed
 
@@ -255,7 +256,7 @@ def _local_deviation(median: NDArray[np.float32], sigma: float) -> NDArray[np.fl
 def _thickness(long: NDArray[np.bool_]) -> float:
     """Half thickness in cells of long parts: the pixels of a ribbon lie a quarter of its width from its edge on
     average."""
-    depth = ndimage.distance_transform_edt(long)[long]
+    depth = depth_in(long)[long]
     return float(np.clip(2 * depth.mean() / OVER, 0.5, 2.5)) if len(depth) else 1.0
 
 

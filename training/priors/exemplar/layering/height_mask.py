@@ -17,6 +17,7 @@ from scipy import ndimage
 from scipy.cluster.vq import kmeans2
 
 from engine.scene.inside import InsideRecord
+from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.layering.decompose import Layers
 from training.priors.exemplar.patches import OVER
 from training.priors.exemplar.record import RecordReader
@@ -240,7 +241,7 @@ def make_height_mask(carrier: Layers, radial: Sequence[Layers], rng: np.random.G
 
 def _centrality(things: NDArray[np.bool_], inner: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(H, W). Position of each pixel from the edge (0) of its structure to the middle (1) of the widest part nearby."""
-    inside = ndimage.distance_transform_edt(things)
+    inside = depth_in(things)
     widest = ndimage.maximum_filter(inside, size=2 * int(inside[inner].max(initial=0)) + 1)
     return (inside / np.maximum(widest, 1)).astype(np.float32)
 

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.medians import Ranks
 from training.priors.exemplar.pictures import Picture
-from training.priors.exemplar.sampling import blurred, read_bilinear, reduced, resampled
+from training.priors.exemplar.sampling import blurred, read_as_scipy, read_bilinear, reduced, resampled
 
 __all__ = [
     "DISC_PIXELS",
@@ -110,7 +111,7 @@ class Disc:
         r = np.interp(angle, angles, rim, period=2 * np.pi) * np.minimum(disc_radius(), RIM)
         sigma = max(0.5 * rim.mean() * 2 * REACH / DISC_PIXELS - 0.4, 0.0)  # against aliasing
         rgb = blurred(picture.rgb, sigma)
-        found = _sample(rgb, row - r * np.sin(angle), column + r * np.cos(angle))
+        found = read_as_scipy(rgb, row - r * np.sin(angle), column + r * np.cos(angle))
         return cls.of_bytes(np.round(found * 255).astype(np.uint8))  # as fine as a file stores it
 
     @classmethod
@@ -210,7 +211,7 @@ def halo(hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(P, P). 1 where pixels of a disc are `hidden` (P, P) and close around them, 0 elsewhere."""
     if not hidden.any():
         return np.zeros(hidden.shape, np.float32)
-    away = ndimage.distance_transform_edt(~hidden)
+    away = depth_in(~hidden)
     return np.clip(HALO / PIXEL + 0.5 - away, 0, 1).astype(np.float32)
 
 
@@ -285,7 +286,7 @@ def even_around(disc: Disc) -> Disc:
     x, y = disc_grid()
     at = disc_radius() * (len(radius) - 1), np.arctan2(y, x) % (2 * np.pi) * DIRECTIONS / (2 * np.pi)
     closed = np.concatenate([excess, excess[:, :1]], axis=1)
-    return Disc(np.clip(disc.rgb - _sample(closed, *at), 0, 1))
+    return Disc(np.clip(disc.rgb - read_as_scipy(closed, *at), 0, 1))
 
 
 def even_sides(disc: Disc) -> Disc:
@@ -341,10 +342,3 @@ class BallMap:
         at = np.stack([(up / np.pi + 0.5) * LATITUDES + 0.5, around / (2 * np.pi) * LONGITUDES + 0.5])
         rim = ndimage.map_coordinates(self.skin, at, order=1, mode="nearest")
         return (planar / rim[:, None]).astype(np.float32)
-
-
-def _sample(rgb: NDArray[np.float32], rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(..., 3). Bilinear colours at places in pixels."""
-    at = np.stack([rows, columns])
-    channels = [ndimage.map_coordinates(rgb[..., c], at, order=1, mode="nearest", output=np.float32) for c in range(3)]
-    return np.stack(channels, -1)

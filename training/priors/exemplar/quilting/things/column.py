@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
     PIXEL,
@@ -159,5 +160,5 @@ def _depth(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(P, P). Distance in radii of each pixel from the edge of a shape, negative outside of it."""
     if not shape.any():
         return np.full(shape.shape, -1, np.float32)
-    depth = ndimage.distance_transform_edt(shape) - ndimage.distance_transform_edt(~shape)
+    depth = depth_in(shape) - depth_in(~shape)
     return (depth * PIXEL).astype(np.float32)

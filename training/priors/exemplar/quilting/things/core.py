@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, Disc, disc_grid, disc_radius, to_pixels
 from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST, TYPICAL
 from training.priors.exemplar.rind import FLESH
@@ -173,7 +174,7 @@ def find_shape(disc: Disc, rind: float) -> NDArray[np.bool_] | None:
     if not found.any() or (found & (radius > 1 - rind)).any():
         return None
     shape = ndimage.binary_fill_holes(found & (contrast > EDGE * np.quantile(contrast[found], STRONG)))
-    return shape if ndimage.distance_transform_edt(shape).max() * PIXEL >= NARROWEST else None
+    return shape if depth_in(shape).max() * PIXEL >= NARROWEST else None
 
 
 def stands_out(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
@@ -210,7 +211,7 @@ def seen_along(disc: Disc, reach: float, height: float) -> Shown | None:
 
 def _form(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(P, P, 4). The form of a solid over a shape (P, P) that is as tall as it is wide, with half heights in radii."""
-    depth = ndimage.distance_transform_edt(shape)
+    depth = depth_in(shape)
     thick = _thickness(depth)
     off = 1 - depth / np.maximum(thick, 1e-6)
     way = -np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)
