@@ -2,10 +2,10 @@
 
     python -m benchmarks.by_hand [--quick] [-o docs/charts]
 
-Three rows: the distance transform against SciPy's, the thread loop against the standard library's pool on the short
-loops of a frame, and the vector lanes of the classic renderer against plain loops. Both sides of a row run in turns;
-figures are medians of wall time, and of processor time over cores, which a loaded machine disturbs least. Writes
-by_hand.json and .png.
+Four kinds of row: the distance transforms of a grid and of a picture against SciPy's, the thread loop against the
+standard library's pool on the short loops of a frame, and the vector lanes of the classic renderer against plain loops.
+Both sides of a row run in turns; figures are medians of wall time, and of processor time over cores, which a loaded
+machine disturbs least. Writes by_hand.json and .png.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from engine.render.classic.differentiable import rasterize
 from engine.render.classic.records import Frame, Slice
 from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
 from engine.scene.constants import MAX_ALPHA, MIN_TRANSMITTANCE
-from engine.solid.distance_transform import nearest
+from engine.solid.distance_transform import depth_in, nearest
 from engine.threads import cores, for_each
 
 LOOPS, TASKS = 12, 16
@@ -128,6 +128,13 @@ def distance_row(cells: int, rounds: int) -> dict[str, Any]:
     return in_turns(lambda: nearest(shell), scipy, rounds)
 
 
+def picture_row(side: int, rounds: int) -> dict[str, Any]:
+    """Distances in a picture to what is outside of a disc."""
+    x, y = np.indices((side, side)) - side / 2
+    disc = np.hypot(x, y) < 0.45 * side
+    return in_turns(lambda: depth_in(disc), lambda: ndimage.distance_transform_edt(disc), rounds)
+
+
 def thread_row(rounds: int) -> dict[str, Any]:
     """A frame's worth of short loops."""
     out = np.zeros(TASKS)
@@ -182,6 +189,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows = {
         "distance transform, 128^3 (SciPy)": distance_row(64 if quick else 128, rounds),
         "distance transform, 192^3 (SciPy)": distance_row(64 if quick else 192, rounds),
+        "distances in a picture, 1,400^2 (SciPy)": picture_row(350 if quick else 1400, rounds),
         f"{LOOPS} short loops (ThreadPoolExecutor)": thread_row(20 * rounds),
         "classic, 20 k, 512^2 (plain loops)": lane_row(256 if quick else 512, rounds),
     }
