@@ -13,8 +13,7 @@ from training.priors.exemplar.quilting.disc import (
     Disc,
     disc_grid,
     disc_radius,
-    even_around,
-    even_sides,
+    evened,
     filled_in,
     read_map,
     ring_medians,
@@ -116,7 +115,7 @@ class Source:
         persistence = Persistence(disc)
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
         rind = rind_of(disc, is_horizontal)[0]
-        even = _even(disc, is_horizontal)
+        even = evened(disc, is_horizontal)
         parts, relief = _apart(even, rind, FINE)
         grains = Grains.of(parts.things, relief.heights)
         return cls(
@@ -142,7 +141,7 @@ class Source:
         if len(self.grains.radii):
             return self
         has_core = bool(core.region.any())
-        even = _even(self.disc, self.is_horizontal, core.region) if has_core else self.even
+        even = evened(self.disc, self.is_horizontal, core.region) if has_core else self.even
         things = self.seeds.regions | (self.sheets > FAINT_SHEET) | core.shape
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
@@ -150,15 +149,6 @@ class Source:
             relief = relief.closing(parts.things, parts.strength, core.region, hidden)
         tones = smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE)
         return replace(self, core=core, even=even, parts=parts, relief=relief, tones=tones)
-
-
-def _even(disc: Disc, is_horizontal: bool, hidden: NDArray[np.bool_] | None = None) -> Disc:
-    """The picture with even tones, which what is `hidden` (P, P) does not affect."""
-    evened = even_around if is_horizontal else even_sides
-    if hidden is None:
-        return evened(disc)
-    toned = Disc(filled_in(disc.rgb, hidden))
-    return Disc(np.clip(disc.rgb + evened(toned).rgb - toned.rgb, 0, 1))
 
 
 def _apart(even: Disc, rind: float, width: float, things: NDArray[np.bool_] | None = None) -> tuple[Parts, Relief]:
@@ -169,7 +159,7 @@ def _apart(even: Disc, rind: float, width: float, things: NDArray[np.bool_] | No
 
 def made_of_grains(disc: Disc, is_horizontal: bool) -> bool:
     """Whether a picture shows things that lie close together all over."""
-    parts, relief = _apart(_even(disc, is_horizontal), rind_of(disc, is_horizontal)[0], FINE)
+    parts, relief = _apart(evened(disc, is_horizontal), rind_of(disc, is_horizontal)[0], FINE)
     return len(Grains.of(parts.things, relief.heights).radii) > 0
 
 
