@@ -113,24 +113,25 @@ class Source:
     def of(cls, disc: Disc, is_horizontal: bool) -> Source:
         """What is known of a picture before its core is found; `with_core` takes it apart once all things are known."""
         persistence = Persistence(disc)
-        sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
         rind = rind_of(disc, is_horizontal)[0]
         even = evened(disc, is_horizontal)
         parts, relief = _apart(even, rind, FINE)
         grains = Grains.of(parts.things, relief.heights)
+        has_grains = len(grains.radii) > 0
+        nothing = np.zeros(disc.rgb.shape[:2], np.float32)
         return cls(
             disc,
             even,
             parts,
             relief,
-            _closed_things(even, persistence) if len(grains.radii) else np.zeros(disc.rgb.shape[:2], np.float32),
+            _closed_things(even, persistence) if has_grains else nothing,
             smooth_disc(disc, BLUR),
             smooth_disc(Disc(filled_in(even.rgb, relief.closed_until(rind) >= 0)), TONE),
             persistence,
-            sheets,
+            find_sheets(disc, has_grains=has_grains) if is_horizontal else nothing,
             rind,
             grains,
-            Seeds.of(relief, is_horizontal, rind) if not len(grains.radii) else Seeds.none(),
+            Seeds.none() if has_grains else Seeds.of(relief, is_horizontal, rind),
             Core.none(),
             is_horizontal,
         )
