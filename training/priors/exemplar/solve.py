@@ -150,7 +150,7 @@ def _sheets_of(disc: Disc, scaled: ScaledPicture) -> NDArray[np.float32]:
     right, high = columns - scaled.middle[0], scaled.middle[1] - rows
     angle = np.arctan2(high, right)
     r = np.hypot(right, high) / scaled.rim(angle)
-    found = find_sheets(disc)
+    found = find_sheets(disc, walls=False)  # wider ones are structures of their own
     return Disc(np.repeat(found[..., None], 3, -1)).read(r * np.cos(angle), r * np.sin(angle))[..., 0]
 
 

@@ -242,7 +242,7 @@ def test_what_is_wide_is_no_sheet() -> None:
     for half_width, least, most in ((0.02, 0.5, 1.0), (0.06, 0.5, 1.0), (0.12, 0.0, 0.1)):
         line = inside & (np.abs(y) < half_width) & (x > 0)
         face = Disc(np.where(line[..., None], SHEET, FLESH).astype(np.float32))
-        held = find_sheets(face)
+        held = find_sheets(face, walls=True)
         middle = (np.abs(y) < 0.01) & (x > 0.3) & (x < 0.8)
         assert least <= held[middle].mean() <= most
 

@@ -138,7 +138,7 @@ class Source:
             smooth_disc(disc, BLUR),
             smooth_disc(Disc(filled_in(even.rgb, relief.closed_until(rind) >= 0)), TONE),
             persistence,
-            find_sheets(disc, has_grains=has_grains) if is_horizontal else nothing,
+            find_sheets(disc, walls=not has_grains) if is_horizontal else nothing,
             rind,
             grains,
             Seeds.none() if has_grains else Seeds.of(relief, is_horizontal, rind),

@@ -81,10 +81,10 @@ class Persistence:
         return ndimage.map_coordinates(self._gone, at, order=1, mode="nearest", output=np.float32)
 
 
-def find_sheets(disc: Disc, *, has_grains: bool = False) -> NDArray[np.float32]:
+def find_sheets(disc: Disc, *, walls: bool) -> NDArray[np.float32]:
     """(DISC_PIXELS, DISC_PIXELS). How surely a horizontal face shows a sheet from core to rind. Range [0, 1].
 
-    Where a face `has_grains`, membranes alone are sheets: grains in a row look like a wall.
+    Without `walls`, membranes alone are looked for: grains in a row look like a wall.
     """
     medians, small = Medians(disc.rgb), reduced(disc.rgb, REDUCTION)
     angle = np.arange(ANGLES) / ANGLES * 2 * np.pi
@@ -95,7 +95,7 @@ def find_sheets(disc: Disc, *, has_grains: bool = False) -> NDArray[np.float32]:
     turn = np.arctan2(py, px) % (2 * np.pi) / (2 * np.pi) * ANGLES
     at = np.stack([disc_radius() * RADII - 0.5, turn])
     sheets = np.zeros(px.shape, np.float32)
-    for (gone, compared, samples), (least, most) in list(zip(WIDTHS, SURE, strict=True))[: 1 if has_grains else None]:
+    for (gone, compared, samples), (least, most) in list(zip(WIDTHS, SURE, strict=True))[: None if walls else 1]:
         surely = np.clip((_contrasts_along(polar, samples) - least) / (most - least), 0, 1)
         surely[(radius < SHEET_RADII[0]) | (radius > SHEET_RADII[1])] = 0
         closed = np.concatenate([surely, surely[:, :1]], axis=1)
