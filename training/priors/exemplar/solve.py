@@ -41,7 +41,7 @@ from training.priors.exemplar.quilting.agreement import show_one_thing
 from training.priors.exemplar.quilting.disc import BallMap, Disc
 from training.priors.exemplar.quilting.inside import FILM, QuiltInside
 from training.priors.exemplar.quilting.labels import made_of_grains
-from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
+from training.priors.exemplar.quilting.persistence import find_sheets
 from training.priors.exemplar.quilting.quilt import make_quilt
 from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS
 from training.priors.exemplar.sharpen import sharpen
@@ -150,7 +150,7 @@ def _sheets_of(disc: Disc, scaled: ScaledPicture) -> NDArray[np.float32]:
     right, high = columns - scaled.middle[0], scaled.middle[1] - rows
     angle = np.arctan2(high, right)
     r = np.hypot(right, high) / scaled.rim(angle)
-    found = find_sheets(disc, Persistence(disc))
+    found = find_sheets(disc, walls=False)  # wider ones are structures of their own
     return Disc(np.repeat(found[..., None], 3, -1)).read(r * np.cos(angle), r * np.sin(angle))[..., 0]
 
 

@@ -126,6 +126,34 @@ def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() 
         assert core_of(face(dark)).reach == 0
 
 
+def stone(half_width: float, half_height: float) -> tuple[Disc, NDArray[np.bool_]]:
+    """An oval stone in a halo that is twice as large, and where it is."""
+    x, y = disc_grid()
+    oval = np.hypot(x / half_width, y / half_height)
+    halo = np.clip(2 - oval, 0, 1)[..., None] * [0.1, 0.3, 0.3]
+    plain = face(oval < 1).rgb
+    return Disc(np.where((oval < 1)[..., None], plain, plain - halo).astype(np.float32)), oval < 1
+
+
+def test_a_stone_in_a_halo_has_its_own_outline_and_height() -> None:
+    (across, truth), (along, _) = stone(0.36, 0.22), stone(0.36, 0.42)
+    core = core_of(across, along)
+    assert (core.shape & truth).sum() > 0.9 * (core.shape | truth).sum()
+    half_as_wide = 0.42 * 0.75**0.5  # as high an ellipse reaches where half of its width is left
+    assert core.tall == pytest.approx((half_as_wide, half_as_wide), rel=0.05)
+
+
+def test_a_core_is_found_where_walls_join_it_to_the_rind() -> None:
+    x, y = disc_grid()
+    dark = np.hypot(x, y) < 0.2
+    for turn in 0.3 + np.arange(3) * 2 * np.pi / 3:
+        s, t = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+        dark |= (s > 0) & (np.abs(t) < 0.05)
+    core = core_of(face(dark))
+    assert core.reach == pytest.approx(0.2 + MARGIN, abs=0.08)  # with corners of walls
+    assert core.shape.sum() * PIXEL**2 == pytest.approx(np.pi * 0.2**2, rel=0.1)
+
+
 def test_a_radial_picture_shows_solids_as_thick_as_they_are_wide() -> None:
     """Cut parallel to its picture's plane, a pip shows the ellipse that a spheroid has at that distance."""
     shown = face(pips())

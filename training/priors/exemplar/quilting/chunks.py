@@ -68,6 +68,10 @@ DRIFT_ONSET = 0.05
 RIND = (0.05, 0.25)
 """Depths in radii between which the rind ends: in the rind, places keep their depth and chunks are avoided."""
 
+SHARED = (0.08, 0.3)
+"""Depths in radii between which a place in a horizontal picture goes over from the same depth to the same share of the
+radius."""
+
 GOLDEN_ANGLE = 2.399
 """Turn in radians from one slab of a set to the next, so that no earlier turn repeats."""
 
@@ -91,14 +95,17 @@ class Ball:
     radius further inside."""
 
     @classmethod
-    def of(cls, points: NDArray[np.float32]) -> Ball:
+    def of(cls, points: NDArray[np.float32], is_layered: bool = False) -> Ball:
+        """For points (M, 3). A ball that `is_layered` is rind all through."""
         x, y, z = points.T
         radius = np.hypot(x, y)
         length = np.sqrt(x * x + y * y + z * z)
         share = np.minimum(radius / np.sqrt(np.maximum(1 - z * z, 1e-4)), 1.15)
-        deep = smoothstep((1 - length - 0.08) / 0.22)
+        deep, under = (smoothstep((1 - length - first) / (last - first)) for first, last in (SHARED, RIND))
+        if is_layered:
+            deep, under = np.zeros_like(deep), np.zeros_like(under)
         level = (length * (1 - deep) + share * deep) / np.maximum(radius, 1e-4)
-        rind = 1 - smoothstep((1 - length - RIND[0]) / (RIND[1] - RIND[0]))
+        rind = 1 - under
         angle = np.arctan2(y, x)
         fields = (radius, length, angle, rind, points[:, :2] * level[:, None])
         return cls(points, *(f.astype(np.float32) for f in fields))

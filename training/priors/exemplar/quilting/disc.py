@@ -31,6 +31,7 @@ __all__ = [
     "enlarged",
     "even_around",
     "even_sides",
+    "evened",
     "filled_in",
     "halo",
     "match_light",
@@ -293,6 +294,15 @@ def even_sides(disc: Disc) -> Disc:
     """The radial face with the same tones on both sides, and unchanged details."""
     tones = smooth_disc(disc, TONE_LENGTH).rgb
     return Disc(np.clip(disc.rgb + (tones[::-1] - tones) / 2, 0, 1))
+
+
+def evened(disc: Disc, is_horizontal: bool, hidden: NDArray[np.bool_] | None = None) -> Disc:
+    """The face with even tones, which what is `hidden` (P, P) does not affect."""
+    made_even = even_around if is_horizontal else even_sides
+    if hidden is None:
+        return made_even(disc)
+    toned = Disc(filled_in(disc.rgb, hidden))
+    return Disc(np.clip(disc.rgb + made_even(toned).rgb - toned.rgb, 0, 1))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.inside import Kind
-from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, disc_grid, read_map, to_pixels
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt
@@ -73,7 +72,7 @@ class QuiltKinds:
         out = np.full(len(points), Kind.INSIDE, np.uint8)
         for n, label in enumerate(quilt.labels):
             rows = np.flatnonzero(nearest == n)
-            places = label.chunks.places(Ball.of(points[rows]))
+            places = label.chunks.places(quilt.ball(points[rows]))
             for m, source in enumerate(label.sources):
                 face, of_it = self._faces[id(source)], places.picture == m
                 out[rows[of_it]] = face.at(places.x[of_it], places.y[of_it], places.distance[of_it])

@@ -7,14 +7,15 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
+from engine.threads import side_by_side
 from training.priors.exemplar.quilting.chunks import Ball, Chunks, Places, Rows
 from training.priors.exemplar.quilting.disc import (
     Disc,
     disc_grid,
     disc_radius,
-    even_around,
-    even_sides,
+    evened,
     filled_in,
     read_map,
     ring_medians,
@@ -22,7 +23,7 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.relief import Relief
-from training.priors.exemplar.quilting.rinds import rind_of
+from training.priors.exemplar.quilting.rinds import goes_inwards, rind_of
 from training.priors.exemplar.quilting.texture import FINE, WIDTH, Parts, take_apart
 from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import Core
@@ -32,7 +33,7 @@ from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.sampling import lengths
 from training.priors.exemplar.strata import beside_own
 
-__all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs", "read_maps"]
+__all__ = ["Label", "Source", "blended_tones", "distance_across", "made_of_grains", "read_discs", "read_maps"]
 
 FINE_RINGS, LARGEST = 64, 0.16
 """Number of rings from whose median colours things stand out, and the largest half width of things in radii."""
@@ -45,6 +46,12 @@ BLUR = 0.02
 
 TONE = 0.05
 """Standard deviation in radii of the blur that leaves only tones: wider than seeds and texture."""
+
+TONE_BLEND = 0.04
+"""Standard deviation in radii over which the tones of two chunks blend at their seam."""
+
+OWN_WEIGHT = 4.0
+"""Further weight of a picture's tones in its own plane."""
 
 OWN_TONES = 0.1
 """Distance in radii over which a picture's own tones blend into even ones: away from its plane, and within it where
@@ -76,6 +83,8 @@ class Source:
     grains: Grains
     seeds: Seeds
     core: Core | Column
+    is_layered: bool
+    """Whether layers along the skin go all the way in."""
     is_horizontal: bool
 
     @property
@@ -114,25 +123,27 @@ class Source:
     def of(cls, disc: Disc, is_horizontal: bool) -> Source:
         """What is known of a picture before its core is found; `with_core` takes it apart once all things are known."""
         persistence = Persistence(disc)
-        sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
         rind = rind_of(disc, is_horizontal)[0]
-        even = _even(disc, is_horizontal)
+        even = evened(disc, is_horizontal)
         parts, relief = _apart(even, rind, FINE)
         grains = Grains.of(parts.things, relief.heights)
+        has_grains = len(grains.radii) > 0
+        nothing = np.zeros(disc.rgb.shape[:2], np.float32)
         return cls(
             disc,
             even,
             parts,
             relief,
-            _closed_things(even, persistence) if len(grains.radii) else np.zeros(disc.rgb.shape[:2], np.float32),
+            _closed_things(even, persistence) if has_grains else nothing,
             smooth_disc(disc, BLUR),
             smooth_disc(Disc(filled_in(even.rgb, relief.closed_until(rind) >= 0)), TONE),
             persistence,
-            sheets,
+            find_sheets(disc, walls=not has_grains) if is_horizontal else nothing,
             rind,
             grains,
-            Seeds.of(relief, is_horizontal, rind) if not len(grains.radii) else Seeds.none(),
+            Seeds.none() if has_grains else Seeds.of(relief, is_horizontal, rind),
             Core.none(),
+            False,
             is_horizontal,
         )
 
@@ -142,23 +153,15 @@ class Source:
         if len(self.grains.radii):
             return self
         has_core = bool(core.region.any())
-        even = _even(self.disc, self.is_horizontal, core.region) if has_core else self.even
+        even = evened(self.disc, self.is_horizontal, core.region) if has_core else self.even
         things = self.seeds.regions | (self.sheets > FAINT_SHEET) | core.shape
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
         if has_core and not (self.is_horizontal and isinstance(core, Column)):  # which goes on beside its picture
             relief = relief.closing(parts.things, parts.strength, core.region, hidden)
         tones = smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE)
-        return replace(self, core=core, even=even, parts=parts, relief=relief, tones=tones)
-
-
-def _even(disc: Disc, is_horizontal: bool, hidden: NDArray[np.bool_] | None = None) -> Disc:
-    """The picture with even tones, which what is `hidden` (P, P) does not affect."""
-    evened = even_around if is_horizontal else even_sides
-    if hidden is None:
-        return evened(disc)
-    toned = Disc(filled_in(disc.rgb, hidden))
-    return Disc(np.clip(disc.rgb + evened(toned).rgb - toned.rgb, 0, 1))
+        is_layered = goes_inwards(even, core.reach, self.rind)
+        return replace(self, core=core, even=even, parts=parts, relief=relief, tones=tones, is_layered=is_layered)
 
 
 def _apart(even: Disc, rind: float, width: float, things: NDArray[np.bool_] | None = None) -> tuple[Parts, Relief]:
@@ -169,7 +172,7 @@ def _apart(even: Disc, rind: float, width: float, things: NDArray[np.bool_] | No
 
 def made_of_grains(disc: Disc, is_horizontal: bool) -> bool:
     """Whether a picture shows things that lie close together all over."""
-    parts, relief = _apart(_even(disc, is_horizontal), rind_of(disc, is_horizontal)[0], FINE)
+    parts, relief = _apart(evened(disc, is_horizontal), rind_of(disc, is_horizontal)[0], FINE)
     return len(Grains.of(parts.things, relief.heights).radii) > 0
 
 
@@ -256,6 +259,37 @@ def distance_across(labels: list[Label], label: Label, ball: Ball) -> NDArray[np
         if label.is_own and other.is_own and other.is_horizontal != label.is_horizontal:
             return other.chunks.distance(ball)
     return np.full(len(ball.points), np.inf, np.float32)
+
+
+def blended_tones(
+    labels: list[Label],
+    ball: Ball,
+    number: NDArray[np.int32],
+    size: int,
+    chosen: NDArray[np.int32],
+    read: list[Places],
+) -> NDArray[np.float32]:
+    """(X, Y, Z, 3). The tones of the labels (M,) that are chosen at cells of a grid, `size` of them across the ball,
+    blended at seams: the lower of two bands of a multiresolution spline (Burt and Adelson 1983)."""
+    inside = number >= 0
+    blended = np.zeros((len(ball.points), 3), np.float32)
+    weights = np.zeros((len(ball.points), 1), np.float32)
+
+    def weigh(n: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        label, places, here = labels[n], read[n], np.zeros(number.shape, np.float32)
+        here[inside] = chosen == n
+        weight = ndimage.gaussian_filter(here, TONE_BLEND * size / 2)[inside]
+        if label.is_own:
+            weight *= 1 + OWN_WEIGHT * np.exp(-np.square(places.distance / TONE_BLEND))
+        return weight[:, None], weight[:, None] * label.read_tones(places, distance_across(labels, label, ball))
+
+    for weight, toned in side_by_side(weigh, range(len(labels))):
+        blended += toned
+        weights += weight
+    total = np.zeros((*number.shape, 3), np.float32)
+    total[inside] = blended / np.maximum(weights, 1e-6)
+    nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
+    return total[tuple(nearest)]
 
 
 def read_discs(places: Places, discs: list[Disc]) -> NDArray[np.float32]:

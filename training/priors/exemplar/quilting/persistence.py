@@ -31,9 +31,14 @@ __all__ = ["Persistence", "find_sheets"]
 DISTANCES = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22)
 """Distances in radii at which the medians are taken; seeds, pores and carpels have half widths in this range."""
 
-THIN, WIDE = 0.07, 0.16
-"""Distances in radii: one at which a sheet is gone, and one to compare that with. The median over a disc removes a line
-as wide as 0.8 of its radius. Anything wider is flesh or a hollow, which ends as closed things do."""
+WIDTHS = (0.07, 0.16, 21), (0.175, 0.4, 51)
+"""Of membranes, and of walls such as a tomato's: distance in radii at which a sheet is gone; one to compare that with;
+and samples around the middle over whose median it stands out, some 20 and 50 degrees. The median over a disc removes a
+line as wide as 0.8 of its radius. Anything wider is flesh or a hollow, which ends as closed things do."""
+
+SURE = (0.5, 1.5), (1.0, 1.5)
+"""Contrasts of sheets of these two widths, over the standard deviation in the flesh, from which a sheet may be one and
+certainly is. Between walls the flesh may be darker here and there, so a wall has to be surer than a membrane."""
 
 BORDER = 0.01
 """Radii over which a sheet's surety is smoothed across its edges."""
@@ -50,9 +55,6 @@ sheets."""
 
 ANGLES, RADII = 360, 128
 """Samples around and along the radius when sheets are looked for."""
-
-CONTRAST_ANGLES = 21
-"""Samples around the middle over whose median a sheet stands out: about 20 degrees."""
 
 SHEET_RADII = (0.12, 0.93)
 """Radii between which sheets lie: inside is the core, outside the rind."""
@@ -79,17 +81,41 @@ class Persistence:
         return ndimage.map_coordinates(self._gone, at, order=1, mode="nearest", output=np.float32)
 
 
-def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
-    """(DISC_PIXELS, DISC_PIXELS). How surely a horizontal face shows a thin sheet from core to rind. Range [0, 1].
+def find_sheets(disc: Disc, *, walls: bool) -> NDArray[np.float32]:
+    """(DISC_PIXELS, DISC_PIXELS). How surely a horizontal face shows a sheet from core to rind. Range [0, 1].
 
-    `persistence`: of the same face.
+    Without `walls`, membranes alone are looked for: grains in a row look like a wall.
     """
+    medians, small = Medians(disc.rgb), reduced(disc.rgb, REDUCTION)
     angle = np.arange(ANGLES) / ANGLES * 2 * np.pi
     radius = (np.arange(RADII) + 0.5) / RADII
     x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
-    smooth = Disc(blurred(disc.rgb, 1.2))
-    polar = smooth.read(x, y)
-    half = CONTRAST_ANGLES // 2
+    polar = Disc(blurred(disc.rgb, 1.2)).read(x, y)
+    px, py = disc_grid()
+    turn = np.arctan2(py, px) % (2 * np.pi) / (2 * np.pi) * ANGLES
+    at = np.stack([disc_radius() * RADII - 0.5, turn])
+    sheets = np.zeros(px.shape, np.float32)
+    for (gone, compared, samples), (least, most) in list(zip(WIDTHS, SURE, strict=True))[: None if walls else 1]:
+        surely = np.clip((_contrasts_along(polar, samples) - least) / (most - least), 0, 1)
+        surely[(radius < SHEET_RADII[0]) | (radius > SHEET_RADII[1])] = 0
+        closed = np.concatenate([surely, surely[:, :1]], axis=1)
+        found = ndimage.map_coordinates(closed, at, order=1, cval=0, output=np.float32)
+        thin, wide = (_read(lengths(small - medians.over(d)), px, py) for d in (gone, compared))
+        share = np.clip(2 * thin / (wide + 0.02) - 0.5, 0, 1)
+        sheets = np.maximum(sheets, found * blurred(share, BORDER * DISC_PIXELS / (2 * REACH)))
+    return sheets
+
+
+def _read(values: NDArray[np.floating], x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(...). Values (H, W) all over a disc, at places (...), (...)."""
+    at = np.stack(to_pixels(x, y, len(values)))
+    return ndimage.map_coordinates(values, at, order=1, mode="nearest", output=np.float32)
+
+
+def _contrasts_along(polar: NDArray[np.float32], samples: int) -> NDArray[np.floating]:
+    """(R, A). How far colours (R, A, 3) by radius and angle stand out, along a line through each place, from the median
+    over so many angles; over the standard deviation in the flesh."""
+    half = samples // 2
     around = np.pad(polar, ((0, 0), (half, half), (0, 0)), mode="wrap")
     contrast = polar - Ranks.of(around).medians(np.array([half]))[:, half:-half]
     length = int(SHEET_LENGTH * RADII)
@@ -99,17 +125,7 @@ def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
     steady, found = np.empty((len(BENDS), RADII, ANGLES), np.float32), np.empty((RADII, ANGLES), np.float32)
     for_spans(_follow_lines, RADII, contrast, along, turns, SHEET_QUANTILE, means, steady, span=ROWS)
     for_spans(_steadiest, RADII, contrast, along, turns, means, steady, found, span=ROWS)
-    flesh = contrast[int(0.2 * RADII) : int(0.8 * RADII)]
-    surely = np.clip(found / (lengths(flesh).std() + 0.01) - 0.5, 0, 1)
-    surely[(radius < SHEET_RADII[0]) | (radius > SHEET_RADII[1])] = 0
-    px, py = disc_grid()
-    turn = np.arctan2(py, px) % (2 * np.pi) / (2 * np.pi) * ANGLES
-    at = np.stack([disc_radius() * RADII - 0.5, turn])
-    closed = np.concatenate([surely, surely[:, :1]], axis=1)
-    sheets = ndimage.map_coordinates(closed, at, order=1, cval=0, output=np.float32)
-    thin, wide = (persistence.gone(px.ravel(), py.ravel(), np.full(px.size, d)) for d in (THIN, WIDE))
-    share = np.clip(2 * thin / (wide + 0.02) - 0.5, 0, 1).reshape(px.shape)
-    return sheets * blurred(share, BORDER * DISC_PIXELS / (2 * REACH))
+    return found / (lengths(contrast[int(0.2 * RADII) : int(0.8 * RADII)]).std() + 0.01)
 
 
 @njit(cache=True, nogil=True)

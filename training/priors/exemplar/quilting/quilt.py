@@ -10,7 +10,7 @@ pictures as solids (`relief`); their texture comes from thin layers (`texture`).
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -39,7 +39,7 @@ from training.priors.exemplar.quilting.disc import (
     read_map,
 )
 from training.priors.exemplar.quilting.films import Beside
-from training.priors.exemplar.quilting.labels import Label, Source, distance_across
+from training.priors.exemplar.quilting.labels import Label, Source, blended_tones, distance_across
 from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
@@ -72,12 +72,9 @@ it, so that there is as much as the pictures show there; and its largest value. 
 costs the seams of its ends, and flesh none. Nothing is gained by what else stands out, as seeds and cores are laid
 whole: it showed an orange's pith as chips in its pulp."""
 
-TONE_BLEND = 0.04
-"""Standard deviation in radii over which the tones of two chunks blend at their seam."""
-
-OWN_WEIGHT, OWN_ALONE, OWN_REACH = 4.0, 0.015, 0.04
-"""Further weight of a picture's tones in its own plane; distance in radii from it over which they cease to be the only
-ones, so that no step of tones shows there; and from where nothing of that is left."""
+OWN_ALONE, OWN_REACH = 0.015, 0.04
+"""Distance in radii from a picture's own plane over which its tones cease to be the only ones, so that no step of tones
+shows there; and from where nothing of that is left."""
 
 SEAM_COST = 0.0075
 """Weight of a seam over the width of a cell in radii."""
@@ -172,7 +169,7 @@ class Quilt:
 
     def _shown(self, label: Label, points: NDArray[np.float32], tones: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). What a label shows at points (M, 3), in the tones (M, 3) of its neighbourhood."""
-        ball = Ball.of(points)
+        ball = self.ball(points)
         places, crossing = label.chunks.places(ball), distance_across(self.labels, label, ball)
         field = self.textures[label.is_horizontal]
         rgb = label.read(places, crossing, field.at(ball), field.thickness)
@@ -186,11 +183,20 @@ class Quilt:
         tones = read_trilinear(self.tones, _in_cells(points, LEVELS[-1]))
         for number, far in zip(beside.numbers, beside.far, strict=True):
             label, rows = self.labels[number], np.flatnonzero(np.abs(far) < OWN_REACH)
-            ball = Ball.of(points[rows])
+            ball = self.ball(points[rows])
             there = label.read_tones(label.chunks.places(ball), distance_across(self.labels, label, ball))
             alone = np.exp(-np.square(far[rows] / OWN_ALONE))[:, None]
             tones[rows] += alone * (there - tones[rows])
         return tones
+
+    @cached_property
+    def is_layered(self) -> bool:
+        """Whether all pictures show layers along the skin that go all the way in."""
+        return _are_layered(source for label in self.labels for source in label.sources)
+
+    def ball(self, points: NDArray[np.float32]) -> Ball:
+        """Points (M, 3) of the quilt with what its chunks need of them."""
+        return Ball.of(points, self.is_layered)
 
     @cached_property
     def cores(self) -> Cores | None:
@@ -215,13 +221,14 @@ def make_quilt(
     rinds, across, along = _make_sources(horizontal, radial, height)
     labels = _make_labels(across, along, height, seed)
     has_grains = any(source.closed.any() for source in [*across, *along])
+    is_layered = _are_layered([*across, *along])
     gain = np.full(REGIONS, FIRST_GAIN)
     chosen = number = None
     for step, size in enumerate(LEVELS):
         progress(step / len(LEVELS))
         coarse, before = number, chosen
         number, cells, points = _grid(size)
-        ball = Ball.of(points)
+        ball = Ball.of(points, is_layered)
         at_cells = weigh_labels(labels, along, ball, 2 / size, seed)
         if coarse is None or before is None:
             chosen = at_cells.costs.argmin(1).astype(np.int32)
@@ -257,9 +264,13 @@ def restore_quilt(
     labels = _make_labels(across, along, height, seed)
     if not 0 <= chosen.min() <= chosen.max() < len(labels):
         raise ValueError("a label that no picture has")
-    ball = Ball.of(points)
+    ball = Ball.of(points, _are_layered([*across, *along]))
     places = side_by_side(lambda label: label.chunks.places(ball), labels)
     return _assembled(rinds, labels, across, along, seed, number, chosen, ball, places)
+
+
+def _are_layered(sources: Iterable[Source]) -> bool:
+    return all(source.is_layered for source in sources)
 
 
 def _make_sources(
@@ -311,7 +322,7 @@ def _assembled(
         for h, sources in ((True, across), (False, along))
         if sources
     }
-    tones = _blended_tones(labels, ball, number, chosen, places)
+    tones = blended_tones(labels, ball, number, LEVELS[-1], chosen, places)
     things = [source.things for source in [*across, *along]]
     own = [source.seeds.things(source.disc) for source in [*across[:1], *along[:OWN_AZIMUTHS]]]  # in their own light
     ground = Quilt(rinds, labels, number, chosen, textures, tones, [*things, *own], None)
@@ -344,7 +355,7 @@ def _packed(
     def holds_grains(tried: Candidates) -> NDArray[np.bool_]:
         near = [_in_cells(tried.middles + step * tried.radii[:, None], LEVELS[-1]).T for step in GRAIN_STEPS]
         around = [ndimage.map_coordinates(cover, at, order=1) for at in near]
-        there = Ball.of(tried.middles)
+        there = ground.ball(tried.middles)
         seen = [s.grains.cover_at(side * there.radius, tried.middles[:, 2]) for s in along for side in (1, -1)]
         full = np.mean(around, axis=0) > GRAIN_COVER
         return full & (np.max(seen, axis=0) > GRAIN_COVER) if seen else full
@@ -394,32 +405,6 @@ def _grain_cover(labels: list[Label], chosen: NDArray[np.int32], read: list[Plac
 def _in_cells(points: NDArray[np.float32], size: int) -> NDArray[np.float32]:
     """(M, 3). Points (M, 3) of the ball on a grid of `size` cells across it, cell centres at whole numbers."""
     return ((points + 1) * np.float32(size / 2) + np.float32(MARGIN - 0.5)).astype(np.float32)
-
-
-def _blended_tones(
-    labels: list[Label], ball: Ball, number: NDArray[np.int32], chosen: NDArray[np.int32], read: list[Places]
-) -> NDArray[np.float32]:
-    """(X, Y, Z, 3). The labels' tones, blended at seams: the lower of two bands of a multiresolution spline (Burt and
-    Adelson 1983)."""
-    inside = number >= 0
-    blended = np.zeros((len(ball.points), 3), np.float32)
-    weights = np.zeros((len(ball.points), 1), np.float32)
-
-    def weigh(n: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        label, places, here = labels[n], read[n], np.zeros(number.shape, np.float32)
-        here[inside] = chosen == n
-        weight = ndimage.gaussian_filter(here, TONE_BLEND * LEVELS[-1] / 2)[inside]
-        if label.is_own:
-            weight *= 1 + OWN_WEIGHT * np.exp(-np.square(places.distance / TONE_BLEND))
-        return weight[:, None], weight[:, None] * label.read_tones(places, distance_across(labels, label, ball))
-
-    for weight, toned in side_by_side(weigh, range(len(labels))):
-        blended += toned
-        weights += weight
-    total = np.zeros((*number.shape, 3), np.float32)
-    total[inside] = blended / np.maximum(weights, 1e-6)
-    nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
-    return total[tuple(nearest)]
 
 
 def _make_labels(across: list[Source], along: list[Source], height: float, seed: int) -> list[Label]:

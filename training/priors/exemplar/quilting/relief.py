@@ -73,8 +73,7 @@ THING_CONTRAST = 0.12
 as LEAST_CONTRAST, as the thing is taken out of its picture."""
 
 NARROWEST = 0.01
-"""Least half width of a thing in radii: anything narrower is texture. The cores of eight photographs have 0.06 and
-more, a speck at the axis of a melon 0.009."""
+"""Least half width of a thing in radii: anything narrower is texture."""
 
 BLEND = np.float32(0.006)
 """Distance in radii over which a colour gives way to the next: a pixel and a half of the disc."""

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.quilting.disc import Disc, disc_grid, disc_radius, ring_medians
+from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, disc_radius, ring_medians
 from training.priors.exemplar.rind import FLESH, rind_depth
 from training.priors.exemplar.sampling import blurred, lengths
 
-__all__ = ["Rinds", "rind_of"]
+__all__ = ["Rinds", "goes_inwards", "rind_of"]
 
 ANGLES = 360
 """Directions in which a picture's rind is measured."""
@@ -50,6 +50,18 @@ LATITUDES, LONGITUDES = 90, 180
 RINGS = 50
 """Rings in which a rind's colours are compared with the flesh."""
 
+ALONG_LAYERS, TONES = 25, 12.0
+"""Width in degrees of the mean along rings that leaves layers, and standard deviation of the blur that leaves tones, in
+degrees and hundredths of a radius."""
+
+CENTRE = 0.15
+"""Radius within which rings are too short for such means."""
+
+LAYERED, FAINT = 0.6, 0.04
+"""Least share of the details' contrast that such means leave in a picture of layers all over, and its least value (RMS
+of RGB). In 26 photographs of fruit 0.5 is left where it is as strong as that, and 0.63 of an apple's 0.012; of a drawn
+onion 0.98 of 0.08."""
+
 BLUR = 3.0
 """Standard deviation of the blur under which they are compared, in pixels of a disc: a hundredth of a radius."""
 
@@ -64,6 +76,20 @@ def rind_of(disc: Disc, is_horizontal: bool) -> tuple[float, NDArray[np.float32]
     contrast = np.linalg.norm(colours - flesh, axis=1)[: max(round(deepest * RINGS), 1)]
     half = float(contrast.max() / 2)
     return float((np.flatnonzero(contrast >= half)[-1] + 1) / RINGS), flesh, half
+
+
+def goes_inwards(disc: Disc, core: float, rind: float) -> bool:
+    """Whether layers like those of a rind go on under a rind of this depth, down to a core of this radius in radii, as
+    in an onion."""
+    radius = np.arange(max(core, CENTRE), 1 - rind - BLUR * PIXEL, 0.01)
+    if len(radius) < TONES:
+        return False
+    turn = np.arange(ANGLES) / ANGLES * 2 * np.pi
+    polar = Disc(blurred(disc.rgb, BLUR / 2)).read(radius[:, None] * np.cos(turn), radius[:, None] * np.sin(turn))
+    tones = ndimage.gaussian_filter(polar, (TONES, TONES, 0), mode=("nearest", "wrap", "nearest"))
+    along = ndimage.uniform_filter1d(polar - tones, ALONG_LAYERS, axis=1, mode="wrap")
+    left = float(np.square(along).mean())
+    return left > FAINT**2 and left > LAYERED * float(np.square(polar - tones).mean())
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball, OwnHeight
-from training.priors.exemplar.quilting.disc import Disc, disc_radius, read_map
+from training.priors.exemplar.quilting.disc import Disc, disc_radius, evened, read_map
 from training.priors.exemplar.quilting.labels import Label, Source
 from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.things.column import Column
@@ -133,6 +133,10 @@ def find_core(
     shape = find_shape(even, rind)
     if shape is None:
         return Core.none()
+    # Tones are made even as if there were no core: a stone that is not round is a part of them at first.
+    there = disc_radius() < disc_radius()[shape].max() + MARGIN
+    again = find_shape(evened(disc, True, there), rind)
+    shape = shape if again is None else again
     reach = float(disc_radius()[shape].max()) + MARGIN
     seen = [shown for one in along if (shown := seen_along(one, reach, height))]
     if sum(shown.is_column for shown in seen) > len(seen) / 2:
