@@ -43,6 +43,7 @@ from training.priors.exemplar.quilting.inside import FILM, QuiltInside
 from training.priors.exemplar.quilting.labels import made_of_grains
 from training.priors.exemplar.quilting.persistence import find_sheets
 from training.priors.exemplar.quilting.quilt import make_quilt
+from training.priors.exemplar.quilting.things.cores import show_core_that_ends
 from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS
 from training.priors.exemplar.sharpen import sharpen
 from training.priors.prior import Progress, Volume
@@ -69,9 +70,9 @@ def solve(
     """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
 
     It has fewer cells if the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Pictures of a round body that disagree
-    where they meet are quilted, unless they show the `same` thing; so is a single family that shows things close
-    together, which no layer can continue. All others continue layer by layer. Raises InputError if no family has an
-    exemplar or a picture cannot be used.
+    where they meet, or show a core that ends, are quilted, unless they show the `same` thing; so is a single family
+    that shows things close together, which no layer can continue. All others continue layer by layer. Raises InputError
+    if no family has an exemplar or a picture cannot be used.
     """
     families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
     if not families:
@@ -99,15 +100,17 @@ def solve(
         return _make_volume(space, rgb, progress, inside, notes)
     discs: dict[Frame, list[Disc]] = {}
     if space.is_round and {view.kind for view in views} <= {POLAR, RADIAL}:
-        discs = _discs(views, taken)  # in their own light, which is part of the question
+        discs, ball = _discs(views, taken), BallMap.of(space)  # in their own light, which is part of the question
         if len(views) == 1:
             kind = views[0].kind
             is_quilted = made_of_grains(discs[kind][0], kind == POLAR)
         else:
-            is_quilted = not same and not show_one_thing(discs[POLAR], discs[RADIAL])
+            is_quilted = not same and (
+                not show_one_thing(discs[POLAR], discs[RADIAL])
+                or show_core_that_ends(discs[POLAR], discs[RADIAL], ball.height)
+            )
         if is_quilted:
             log.info("no picture goes on through the object: each is followed in its own plane, and mixed between")
-            ball = BallMap.of(space)
             quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part), ball.height)
             rgb = space.scatter(quilt.read(ball.to_ball(space.planar), (1 + FILM) / float(ball.skin.mean())))
             progress(0.8)

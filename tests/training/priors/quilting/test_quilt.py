@@ -29,6 +29,7 @@ from training.priors.exemplar.quilting.disc import (
     even_sides,
     match_light,
 )
+from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.exemplar.quilting.persistence import find_sheets
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 from training.priors.exemplar.quilting.texture import FINE, take_apart
@@ -234,6 +235,23 @@ def test_what_is_known_to_be_one_thing_is_believed(tmp_path: Path) -> None:
     ]
     ways = [ExemplarPrior(same).solve(ball(), UP, families, 24, 0, lambda part: None).rgb for same in (False, True)]
     assert (ways[0] != ways[1]).any()
+
+
+@pytest.mark.parametrize(("tall", "is_quilted"), [(0.4, True), (2.0, False)], ids=["stone", "pith"])
+def test_a_core_that_ends_is_a_solid_and_one_that_runs_through_a_layer(
+    tmp_path: Path, tall: float, is_quilted: bool
+) -> None:
+    """Two cuts of one thing, which agree where they meet."""
+    y, x = np.abs((np.mgrid[:256, :256] + 0.5) / 128 - 1) / 0.8
+    inside = np.hypot(x, y)[..., None] < 1
+    faces = {"horizontal": np.hypot(x, y) < 0.3, "radial": np.hypot(x / 0.3, y / tall) < 1}
+    families = []
+    kinds: tuple[Kind, ...] = ("horizontal", "radial")
+    for kind in kinds:
+        flesh = np.where((faces[kind] & (np.hypot(x, y) < 0.8))[..., None], SEED, FLESH)
+        families.append(Family(kind, 4, (save(tmp_path / f"{kind}.png", np.where(inside, flesh, 1.0)),)))
+    made = ExemplarPrior().solve(ball(), UP, families, 24, 0, lambda part: None).inside
+    assert isinstance(made, QuiltInside) == is_quilted
 
 
 def test_what_is_wide_is_no_sheet() -> None:

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball, OwnHeight
 from training.priors.exemplar.quilting.disc import Disc, disc_radius, evened, read_map
-from training.priors.exemplar.quilting.labels import Label, Source
+from training.priors.exemplar.quilting.labels import Label, Source, made_of_grains
 from training.priors.exemplar.quilting.relief import BLEND
+from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import MARGIN, Core, find_shape, seen_along
 
-__all__ = ["Cores", "find_core", "find_cores"]
+__all__ = ["Cores", "find_core", "find_cores", "show_core_that_ends"]
 
 ALONE = 0.015
 """Distance in radii from a picture's own plane within which other pictures' cores fade: the plane shows its picture."""
@@ -142,6 +143,17 @@ def find_core(
     if sum(shown.is_column for shown in seen) > len(seen) / 2:
         return Column.across(disc, shape, along, rind_along, height)
     return Core.across(shape, seen)
+
+
+def show_core_that_ends(across: Sequence[Disc], along: Sequence[Disc], height: float) -> bool:
+    """Whether the first horizontal face shows a core, at a height in the ball, that ends in radial ones: a quilt lays
+    it as one solid."""
+    disc, faces = across[0], [evened(one, False) for one in along]
+    rind, rind_along = rind_of(disc, True)[0], max((rind_of(one, False)[0] for one in along), default=0.0)
+    core = find_core(disc, evened(disc, True), rind, faces, rind_along, height)
+    if isinstance(core, Column) or not core.reach:
+        return False
+    return not any(made_of_grains(one, one is disc) for one in [disc, *along])
 
 
 def _passed(depth: NDArray[np.floating]) -> NDArray[np.floating]:
