@@ -24,7 +24,8 @@ COARSEST = 16
 """How many times larger than a picture's pixels those of its coarsest version are."""
 
 BLOCK = 25_000
-"""Points that are read at once: their arrays stay in the cache."""
+"""Points that a thread reads at once: bounds the memory of intermediate results, and few enough that many cores share
+a face."""
 
 VISIBLE = 0.05
 """Least change of a colour by which a stamp shows: a seed's soft edge belongs to it up to a tenth of its contrast."""

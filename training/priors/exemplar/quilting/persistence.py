@@ -24,7 +24,7 @@ from training.priors.exemplar.quilting.disc import (
     disc_radius,
     to_pixels,
 )
-from training.priors.exemplar.sampling import blurred, lengths, reduced
+from training.priors.exemplar.sampling import blurred, lengths, read_as_scipy, reduced
 
 __all__ = ["Persistence", "find_sheets"]
 
@@ -100,16 +100,11 @@ def find_sheets(disc: Disc, *, walls: bool) -> NDArray[np.float32]:
         surely[(radius < SHEET_RADII[0]) | (radius > SHEET_RADII[1])] = 0
         closed = np.concatenate([surely, surely[:, :1]], axis=1)
         found = ndimage.map_coordinates(closed, at, order=1, cval=0, output=np.float32)
-        thin, wide = (_read(lengths(small - medians.over(d)), px, py) for d in (gone, compared))
+        both = np.stack([lengths(small - medians.over(distance)) for distance in (gone, compared)], -1)
+        thin, wide = np.moveaxis(read_as_scipy(both, *to_pixels(px, py, len(both))), -1, 0)
         share = np.clip(2 * thin / (wide + 0.02) - 0.5, 0, 1)
         sheets = np.maximum(sheets, found * blurred(share, BORDER * DISC_PIXELS / (2 * REACH)))
     return sheets
-
-
-def _read(values: NDArray[np.floating], x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(...). Values (H, W) all over a disc, at places (...), (...)."""
-    at = np.stack(to_pixels(x, y, len(values)))
-    return ndimage.map_coordinates(values, at, order=1, mode="nearest", output=np.float32)
 
 
 def _contrasts_along(polar: NDArray[np.float32], samples: int) -> NDArray[np.floating]:
