@@ -130,8 +130,7 @@ def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, kind: type[Train
     families = [Family("horizontal", across), Family("radial", planes - across)]
     cuts = sections(atoms, slices(body, up, families, size), lambda part: None)
     labels = [
-        torch.from_numpy(np.where(cut.condition.inside[..., None], solid.colour(cut.points), np.float32(1)))
-        for cut in cuts
+        torch.from_numpy(np.where(cut.inside[..., None], solid.colour(cut.points), np.float32(1))) for cut in cuts
     ]
     with (
         mock.patch.object(trainer, "INTERIOR_RATE", 10 * trainer.INTERIOR_RATE * rate),  # from grey, so ten times

@@ -39,8 +39,7 @@ CUTS = (
 def contact_sheet_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
     """Six planes through the body that no family contains; the kept side is the one away from up."""
     e1, e2 = equator(up)
-    points = body.grid.centres()[body.inside]
-    centre = body.bounds().mean(0)
+    points, centre = body.points, body.bounds().mean(0)
     planes = []
     for tilt, turn, place in CUTS:
         t, a = np.radians(tilt), np.radians(turn)

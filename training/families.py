@@ -82,7 +82,7 @@ class Family:
             return up
         if self.axis is not None:
             return np.asarray(self.axis, np.float64) / np.linalg.norm(self.axis)
-        points, (e1, e2) = body.grid.centres()[body.inside], equator(up)
+        points, (e1, e2) = body.points, equator(up)
         return e1 if np.ptp(points @ e1) >= np.ptp(points @ e2) else e2
 
     def as_standard_kind(self, body: Body, up: NDArray[np.float64]) -> Family:
@@ -120,7 +120,7 @@ class Family:
             angles = np.pi * self._positions(0.0)
             return [Plane.through(centre, np.cross(np.cos(a) * e1 + np.sin(a) * e2, up)) for a in angles]
         normal = self.normal(body, up)
-        along = body.grid.centres()[body.inside] @ normal
+        along = body.points @ normal
         low, high = (float(along.min()), float(along.max())) if len(along) else (0.0, 0.0)
         steps = low + (high - low) * self._positions(0.5)
         return [Plane.of(normal, -float(s)) for s in steps]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +13,10 @@ from torch import Tensor
 
 from engine.errors import InputError
 from engine.scene.atoms import Atoms
-from engine.scene.inside import Inside
 from engine.solid.fill import Colours
 from training.optimise.trainer import Trainer
 from training.priors.exemplar import ExemplarPrior
-from training.priors.prior import Condition, Denoiser, Progress, VolumeSolver
+from training.priors.prior import Condition, Denoiser, Progress, Volume, VolumeSolver
 from training.priors.sds import distill
 from training.request import Geometry, Request
 from training.views import Section, Slice
@@ -25,10 +24,11 @@ from training.views import Section, Slice
 __all__ = [
     "back_project",
     "blank_label",
-    "labels_from_volume",
+    "label_from_volume",
     "make_prior",
     "nearest_atom_colours",
     "refine_labels",
+    "solve_volume",
 ]
 
 Float = NDArray[np.float32]
@@ -45,32 +45,22 @@ def make_prior(request: Request) -> Denoiser | VolumeSolver:
     return StableDiffusionPrior(request.model, request.thing or request.scene.stem, midas=request.midas)
 
 
-def labels_from_volume(
-    request: Request,
-    geometry: Geometry,
-    cuts: Sequence[Slice],
-    prior: VolumeSolver,
-    progress: Progress,
-    tell: Callable[[str], object],
-) -> tuple[list[Float], Colours, float, Inside | None]:
-    """Labels (H, W, 3) as cuts through one volume, its colour field for atoms, its coarsening, and its inside if any.
+def solve_volume(request: Request, geometry: Geometry, prior: VolumeSolver, progress: Progress) -> tuple[Volume, float]:
+    """The volume of a prior that solves for one, and its coarsening.
 
-    The labels of all planes are consistent in space. The coarsening is the ratio of the volume's cell to the requested
-    one: more than 1 if the pictures resolve less; the atoms may then be coarser too. `tell` gets a note for everything
-    that the user should check in the pictures.
+    The coarsening is the ratio of the volume's cell to the requested one: more than 1 if the pictures resolve less; the
+    atoms may then be coarser too.
     """
     detail = request.fineness
     volume = prior.solve(geometry.body, geometry.up, request.families, detail.voxels, request.seed, progress)
-    for note in volume.notes:
-        tell(note)
-    labels = [np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts]
     requested_cell = geometry.pitch * detail.cells / detail.voxels
-    return (
-        labels,
-        volume.at_cubic,
-        1.0 if np.isclose(volume.body.grid.cell, requested_cell) else volume.body.grid.cell / requested_cell,
-        volume.inside,
-    )
+    cell = volume.body.grid.cell
+    return volume, 1.0 if np.isclose(cell, requested_cell) else cell / requested_cell
+
+
+def label_from_volume(volume: Volume, cut: Slice) -> Float:
+    """(H, W, 3). A label as a cut through a volume, so that those of all planes are consistent in space."""
+    return np.where(cut.inside[..., None], volume.at(cut.points), np.float32(1.0))
 
 
 def blank_label(condition: Condition) -> Float:

@@ -32,7 +32,14 @@ from engine.solid.solidify import atomise_surface, find_enclosure
 from engine.solid.up_axis.detect import UpAxis, detect_up
 from training.checkpoint import Checkpoint
 from training.events import Reporter, Stage
-from training.labels import back_project, blank_label, labels_from_volume, make_prior, nearest_atom_colours
+from training.labels import (
+    back_project,
+    blank_label,
+    label_from_volume,
+    make_prior,
+    nearest_atom_colours,
+    solve_volume,
+)
 from training.optimise.deblur import deblur
 from training.optimise.smoothing import smooth
 from training.optimise.trainer import Trainer
@@ -94,9 +101,6 @@ class Pipeline:
         prior = self.make_prior()
         geometry, self.facts = prepare(self.request, self.reporter, self.raise_if_stopped)
         cuts, labels, atoms = self.label_cuts(geometry, prior)
-        if not self.trains:
-            shown = previewed(cuts)
-            cuts, labels = [cuts[index] for index in shown], [labels[index] for index in shown]
         atoms, surfaces = self.fit_skin(atoms, geometry)
         with self.reporter.stage("views") as stage:
             faces = sections(atoms, cuts, self.track_progress(stage, 0.0, 1.0))
@@ -169,7 +173,7 @@ class Pipeline:
         return progress
 
     def label_cuts(self, geometry: Geometry, prior: Denoiser | VolumeSolver) -> tuple[list[Slice], list[Tensor], Atoms]:
-        """The cuts, a label (H, W, 3) for each, and atoms with initial colours, as fine as the labels resolve.
+        """The labelled cuts, their labels (H, W, 3), and atoms with initial colours, as fine as the labels resolve.
 
         Raises InputError if no plane meets the body.
         """
@@ -198,7 +202,15 @@ class Pipeline:
         kinds = [cut.family.kind for cut in cuts]
         self.facts |= {"interior_atoms": len(interior), "exposed_atoms": interior.exposed, "cells": made["cells"]}
         self.facts["views"] = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
-        return cuts, [torch.from_numpy(label.copy()) for label in arrays["labels"]], geometry.filled(interior)
+        return (
+            self.labelled(cuts),
+            [torch.from_numpy(label.copy()) for label in arrays["labels"]],
+            geometry.filled(interior),
+        )
+
+    def labelled(self, cuts: Sequence[Slice]) -> Sequence[Slice]:
+        """The cuts that need labels: where nothing is trained, only those that previews show."""
+        return cuts if self.trains else [cuts[index] for index in previewed(cuts)]
 
     def make_labels(
         self, geometry: Geometry, cuts: Sequence[Slice], prior: Denoiser | VolumeSolver, stage: Stage
@@ -211,11 +223,11 @@ class Pipeline:
         request, progress = self.request, self.track_progress(stage, 0.0, 1.0)
         cells: float = request.fineness.fine
         notes: list[str] = []
+        colours: Colours
         if isinstance(prior, VolumeSolver):
-            labels, colours, coarsening, self.inside = labels_from_volume(
-                request, geometry, cuts, prior, progress, notes.append
-            )
-            cells /= coarsening
+            volume, coarsening = solve_volume(request, geometry, prior, progress)
+            self.inside, notes, cells = volume.inside, list(volume.notes), cells / coarsening
+            labels, colours = [label_from_volume(volume, cut) for cut in self.labelled(cuts)], volume.at_cubic
         else:
             labels, colours = self.distill_labels(geometry, cuts, prior, progress)
         interior = self.fill_interior(geometry, geometry.pitch * request.fineness.cells / cells, colours)

@@ -46,7 +46,7 @@ __all__ = [
 
 PriorName = Literal["exemplar", "stable-diffusion"]
 
-FORMAT = 6
+FORMAT = 7
 """Version of the checkpoints, raised with every change to them so that no run resumes from one of another version."""
 
 FILE_VERSION = 5

@@ -50,9 +50,17 @@ class Slice:
     family: Family
     plane: Plane
     camera: Camera
-    condition: Condition
     points: NDArray[np.float32]
     """(H, W, 3). World points of the pixels."""
+    inside: NDArray[np.bool_]
+    """(H, W). The silhouette."""
+    body: Body
+    extent: Extent
+
+    @property
+    def condition(self) -> Condition:
+        """What a prior that draws plane by plane is told before training."""
+        return make_condition(self.family, self.body, self.extent, self.camera, self.points)
 
 
 @dataclass(frozen=True)
@@ -75,9 +83,8 @@ def slices(
         family, plane = asked
         camera = section(plane, up, bounds, size, radius)
         points = plane_points(camera, plane)
-        if not (body.at(points) > 0).any():
-            return None
-        return Slice(family, plane, camera, make_condition(family, body, extent, camera, points), points)
+        inside = body.at(points) > 0
+        return Slice(family, plane, camera, points, inside, body, extent) if inside.any() else None
 
     all_asked = [(family, plane) for family in families for plane in family.planes(body, up)]
     return [made for made in side_by_side(slice_of, all_asked) if made is not None]
@@ -89,7 +96,7 @@ def sections(atoms: Atoms, cuts: Sequence[Slice], progress: Callable[[float], No
 
     def weighed(cut: Slice) -> Section:
         weights = ViewWeights.section(atoms, cut.plane, cut.camera, field).truncated(ENTRIES)
-        return Section(cut.family, cut.plane, cut.camera, cut.condition, cut.points, weights)
+        return Section(cut.family, cut.plane, cut.camera, cut.points, cut.inside, cut.body, cut.extent, weights)
 
     result: list[Section] = []
     for start in range(0, len(cuts), TOGETHER):
@@ -115,7 +122,7 @@ class Extent:
     def of(body: Body, up: NDArray[np.float64]) -> Extent:
         """The extent of the cells inside a body."""
         centre = body.bounds().mean(0)
-        points = body.grid.centres()[body.inside] - centre
+        points = body.points - centre
         along = points @ up
         reach = np.linalg.norm(np.cross(points, up), axis=-1).max()
         return Extent(up, centre, float(reach), float(along.min()), float(along.max()), body.inradius)

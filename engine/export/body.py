@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from engine.render.cpu.kernel_field import KernelField
-from engine.scene.atoms import Atoms, SurfaceAtoms
+from engine.scene.atoms import Atoms
 from engine.scene.constants import SOLID_DENSITY
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
@@ -87,10 +87,7 @@ def _filled_by(body: Body, volume: float, most: float) -> Body:
 
 def _density(atoms: Atoms, grid: Grid) -> NDArray[np.float32]:
     """(X, Y, Z). Sum of the weights of the interior atoms at the cell centres."""
-    none = np.zeros(0, int)
-    surface = atoms.surface
-    empty = SurfaceAtoms(surface.means[none], surface.scales[none], surface.quats[none], surface.sh[none])
-    field = KernelField(Atoms(empty, atoms.interior, atoms.pitch))
+    field = KernelField(atoms.without_skin())
     points = grid.centres().reshape(-1, 3)
     parts = [field.at(points[start : start + BLOCK])[1] for start in range(0, len(points), BLOCK)]
     return np.concatenate(parts).reshape(grid.shape)

@@ -90,6 +90,12 @@ class Atoms:
     def __len__(self) -> int:
         return len(self.surface) + len(self.interior)
 
+    def without_skin(self) -> Atoms:
+        """The interior alone."""
+        skin = self.surface
+        none = SurfaceAtoms(skin.means[:0], skin.scales[:0], skin.quats[:0], skin.sh[:0])
+        return Atoms(none, self.interior, self.pitch)
+
     def as_gaussians(self, opacity: float) -> Gaussians:
         """The surface atoms, then the interior ones, all with this opacity and the surface's SH degree."""
         surface, interior = self.surface, self.interior

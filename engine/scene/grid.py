@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.threads import side_by_side
+
 __all__ = ["Body", "Grid"]
 
 
@@ -37,8 +39,21 @@ class Grid:
 
     def centres(self) -> NDArray[np.float32]:
         """(X, Y, Z, 3). World positions of the cell centres."""
-        axes = [self.origin[i] + (np.arange(self.shape[i]) + 0.5) * self.cell for i in range(3)]
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
+        return np.stack(np.meshgrid(*self._axes(), indexing="ij"), axis=-1, dtype=np.float32, casting="same_kind")
+
+    def layer(self, x: int) -> NDArray[np.float32]:
+        """(Y, Z, 3). World positions of the cell centres with this first index."""
+        axes = self._axes()
+        flat = np.meshgrid(axes[0][x : x + 1], *axes[1:], indexing="ij")
+        return np.stack(flat, axis=-1, dtype=np.float32, casting="same_kind")[0]
+
+    def centres_of(self, cells: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """(N, 3). World positions of the centres of some cells (X, Y, Z), in the grid's order."""
+        return (self.origin + (np.argwhere(cells) + 0.5) * self.cell).astype(np.float32)
+
+    def _axes(self) -> list[NDArray[np.float64]]:
+        """World coordinates of the cell centres along each axis."""
+        return [self.origin[i] + (np.arange(self.shape[i]) + 0.5) * self.cell for i in range(3)]
 
     def sample(self, values: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(...). Values (X, Y, Z) at world points (..., 3), trilinear; outside the grid those of the nearest cell."""
@@ -63,6 +78,11 @@ class Body:
         return self.depth > 0
 
     @property
+    def points(self) -> NDArray[np.float32]:
+        """(N, 3). World positions of the cell centres in the solid."""
+        return self.grid.centres_of(self.inside)
+
+    @property
     def volume(self) -> float:
         """World units cubed; a cell that the skin crosses counts for the part of it under the skin."""
         return float(np.clip(self.depth / self.grid.cell + 0.5, 0, 1).sum(dtype=np.float64)) * self.grid.cell**3
@@ -75,12 +95,16 @@ class Body:
     @cached_property
     def radius(self) -> float:
         """Distance from the middle of the bounds to the farthest inside point, world units."""
-        points = self.grid.centres()[self.inside] - self.bounds().mean(0)
+        points = self.points - self.bounds().mean(0)
         return float(np.linalg.norm(points, axis=1).max()) + self.grid.cell / 2 if len(points) else self.grid.cell
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(...). Depth at world points (..., 3), trilinear; outside the grid that of the nearest cell."""
         return self.grid.sample(self.depth, points)
+
+    def on(self, grid: Grid) -> NDArray[np.float32]:
+        """(X, Y, Z). `at` the cell centres of another grid."""
+        return np.stack(side_by_side(lambda x: self.at(grid.layer(x)), range(grid.shape[0])))
 
     def bounds(self) -> NDArray[np.float64]:
         """(2, 3). Box around the inside cells, world units; that of the whole grid if no cell is inside."""
@@ -93,4 +117,4 @@ class Body:
         low, high = self.bounds()
         x, y, z = (np.ceil((high - low) / cell).astype(int) + 4).tolist()
         grid = Grid(low - 2 * cell, cell, (x, y, z))
-        return Body(grid, self.at(grid.centres()))
+        return Body(grid, self.on(grid))

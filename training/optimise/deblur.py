@@ -24,9 +24,9 @@ STEPS = 6
 def deblur(atoms: Atoms, target: NDArray[np.float32]) -> NDArray[np.float32]:
     """(I, 3). Interior colours whose kernel field at the atoms approximates `target` (I, 3). Range [0, 1]."""
     means = atoms.interior.means
-    offsets, columns, weights = KernelField(atoms).entries(means)
-    field = csr_matrix((weights, columns, offsets), shape=(len(means), len(atoms)))
-    field = field[:, len(atoms.surface) :]  # without the skin, whose colours must not bleed into the flesh
+    # Without the skin, whose colours must not bleed into the flesh.
+    offsets, columns, weights = KernelField(atoms.without_skin()).entries(means)
+    field = csr_matrix((weights, columns, offsets), shape=(len(means), len(means)))
     total = np.maximum(np.asarray(field.sum(axis=1)), np.finfo(np.float32).tiny).reshape(-1, 1)
     rgb = target
     for _ in range(STEPS):

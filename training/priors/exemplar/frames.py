@@ -89,12 +89,10 @@ class Space:
     """(N,). Distance of the skin from the axis at the voxel's angle and height, in cells."""
     height: NDArray[np.float32]
     """(N,). Height along the up axis, range [-1, 1] over the body."""
-    normal: NDArray[np.float32]
-    """(N, 3). Outward direction of the nearest skin, along e1, e2, up."""
     half_height: float
     """Half the height of the body along the up axis, in cells."""
-    shell: tuple[NDArray[np.int32], NDArray[np.int32]]
-    """Flat indices of the voxels outside but within MARGIN of the body, and for each, of the nearest voxel inside."""
+    outside: tuple[NDArray[np.int32], NDArray[np.int32]]
+    """Flat indices of the other voxels of the grid, and for each, of the nearest one in `cells`."""
 
     @property
     def inradius(self) -> float:
@@ -113,9 +111,9 @@ class Space:
         return np.asarray(grid.origin) + (self.cells + 0.5) * grid.cell
 
     def fill(self, rgb: NDArray[np.float32]) -> None:
-        """Gives voxels just outside the body the colour of the nearest one inside, in place."""
+        """Gives the other voxels of the grid (X, Y, Z, 3) the colour of the nearest one in `cells`, in place."""
         flat = rgb.reshape(-1, 3)
-        flat[self.shell[0]] = flat[self.shell[1]]
+        flat[self.outside[0]] = flat[self.outside[1]]
 
     def scatter(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
         """(X, Y, Z, 3). A grid from one colour per voxel (N, 3)."""
@@ -146,7 +144,7 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
     cell = float((high - low).max()) / voxels
     grid = Grid.around(body.bounds(), cell, MARGIN)
     # Smoothed, or a grid finer than the body's own would show its steps.
-    depth = body.at(grid.centres())
+    depth = body.on(grid)
     if cell < body.grid.cell:
         depth = ndimage.gaussian_filter(depth, 0.5 * body.grid.cell / cell)
     body = Body(grid, depth)
@@ -164,11 +162,9 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
     centre = centre + up * (along.min() + (levels[0] + levels[-1]) / 2)
     planar = ((cells - centre) @ basis.T).astype(np.float32)
     radius = np.hypot(planar[:, 0], planar[:, 1])
-    slopes = np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)[wanted]
-    slopes = -(slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)) @ basis.T
-    distance, nearest = ndimage.distance_transform_edt(~wanted, return_indices=True)
-    reach = np.flatnonzero((distance > 0) & (distance < MARGIN))
-    source = np.ravel_multi_index(tuple(n.ravel()[reach] for n in nearest), grid.shape)
+    outside = np.flatnonzero(~wanted)
+    nearest = ndimage.distance_transform_edt(~wanted, return_distances=False, return_indices=True)
+    source = np.ravel_multi_index(tuple(n.ravel()[outside] for n in nearest), grid.shape)
     return Space(
         body,
         up,
@@ -181,9 +177,8 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
         radius,
         rim_of(planar, radius),
         np.clip(planar[:, 2] / half, -1, 1),
-        slopes.astype(np.float32),
         float(half),
-        (reach.astype(np.int32), source.astype(np.int32)),
+        (outside.astype(np.int32), source.astype(np.int32)),
     )
 
 

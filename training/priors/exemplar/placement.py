@@ -64,8 +64,7 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
         high = high / np.linalg.norm(high) if np.linalg.norm(high) > 1e-3 else space.basis[1]
         right = np.cross(high, normal)
     axes = np.stack([right, high])
-    filled = grid.centres()[space.body.depth > 0]
-    reach = MARGIN * float(np.abs((filled - centre) @ axes.T).max(initial=grid.cell))
+    reach = MARGIN * float(np.abs((space.body.points - centre) @ axes.T).max(initial=grid.cell))
     steps = ((np.arange(PIXELS) + 0.5) / PIXELS * 2 - 1) * reach
     x, y = np.meshgrid(steps, -steps)
     points = np.stack([x, y], -1).reshape(-1, 2) @ axes

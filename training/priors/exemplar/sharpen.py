@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.threads import side_by_side
 from training.priors.exemplar.frames import ScaledPicture, Space, View
 from training.priors.exemplar.patches import OVER, RADIAL
 
@@ -37,7 +38,9 @@ def sharpen(space: Space, rgb: NDArray[np.float32], views: Sequence[View]) -> fl
     Sharpness is the RMS Laplacian of grey, one cell wide, interpolated between voxels as in any cut. An unsharp mask is
     linear in its gain, so the gain solves a quadratic equation in three sums.
     """
-    edges = rgb - np.stack([ndimage.gaussian_filter(rgb[..., c], EDGE_SIGMA) for c in range(3)], -1)
+    channels = [rgb[..., c] for c in range(3)]
+    edges = side_by_side(lambda values: values - ndimage.gaussian_filter(values, EDGE_SIGMA), channels)
+    greys = side_by_side(lambda three: (three[0] + three[1] + three[2]) / np.float32(3), (channels, edges))
     core = space.cells[space.depth > MIN_DEPTH]
     core = core[:: max(1, len(core) // SAMPLES)]
     wanted, sums = 0.0, np.zeros(3)
@@ -46,17 +49,20 @@ def sharpen(space: Space, rgb: NDArray[np.float32], views: Sequence[View]) -> fl
         column, row = (scaled.xy * OVER + 0.5).astype(int).T
         x, y = scaled.xy[scaled.depth[row, column] > MIN_DEPTH].T
         wanted += TARGET**2 * float((_laplacian(_picture_reader(scaled), x, y) ** 2).mean())
-        plain, edge = (_laplacian(_grid_reader(grid.mean(-1), core, view), *np.zeros((2, 1))) for grid in (rgb, edges))
+        plain, edge = (_laplacian(_grid_reader(grey, core, view), *np.zeros((2, 1))) for grey in greys)
         sums += [(plain**2).mean(), (plain * edge).mean(), (edge**2).mean()]
     a, b, c = sums
     gain = (-b + np.sqrt(max(b * b - c * (a - wanted), 0))) / c if c > 0 and a < wanted else 0.0
     gain = float(np.clip(gain, 0, MAX_GAIN))
-    for channel in range(3):
-        values = rgb[..., channel]
+
+    def sharpened(one: tuple[NDArray[np.float32], NDArray[np.float32]]) -> NDArray[np.float32]:
+        values, edge = one
         # Overshoot beyond the neighbours' range would show as seams beside membranes and as coarser crumb.
-        low = ndimage.minimum_filter(values, 3)
-        high = ndimage.maximum_filter(values, 3)
-        rgb[..., channel] = np.clip(np.clip(values + gain * edges[..., channel], low, high), 0, 1)
+        low, high = ndimage.minimum_filter(values, 3), ndimage.maximum_filter(values, 3)
+        return np.clip(np.clip(values + gain * edge, low, high), 0, 1)
+
+    for values, result in zip(channels, side_by_side(sharpened, list(zip(channels, edges, strict=True))), strict=True):
+        values[...] = result
     return gain
 
 

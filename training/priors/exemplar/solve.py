@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from engine.errors import InputError
 from engine.scene.grid import Body
@@ -173,11 +172,9 @@ def _make_volume(
     space: Space, rgb: NDArray[np.float32], progress: Progress, inside: Inside, notes: tuple[str, ...]
 ) -> Volume:
     """The grid as a volume, its outside filled from the nearest voxel inside."""
-    progress(0.95)
-    nearest = ndimage.distance_transform_edt(space.number < 0, return_distances=False, return_indices=True)
-    volume = Volume(space.body, rgb[tuple(nearest)], inside=inside, notes=notes)
+    space.fill(rgb)
     progress(1.0)
-    return volume
+    return Volume(space.body, rgb, inside=inside, notes=notes)
 
 
 def _needed_cells(space: Space, families: list[Family], pictures: list[list[Picture]], voxels: int) -> int:
