@@ -2,8 +2,9 @@
 
     python -m benchmarks.by_hand [--quick] [-o docs/charts]
 
-Four kinds of row: the distance transforms of a grid and of a picture against SciPy's, the thread loop against the
-standard library's pool on the short loops of a frame, and the vector lanes of the classic renderer against plain loops.
+Six kinds of row: the distance transforms of a grid and of a picture, splines, and the errors of an octree's leaves
+against SciPy's, the thread loop against the standard library's pool on the short loops of a frame, and the vector lanes
+of the classic renderer against plain loops.
 Both sides of a row run in turns; figures are medians of wall time, and of processor time over cores, which a loaded
 machine disturbs least. Writes by_hand.json and .png.
 """
@@ -33,7 +34,10 @@ from engine.render.classic.records import Frame, Slice
 from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
 from engine.scene.constants import MAX_ALPHA, MIN_TRANSMITTANCE
 from engine.solid.distance_transform import depth_in, nearest
+from engine.solid.octree import approximation_error
 from engine.threads import cores, for_each
+from tests.reference import octree as plain
+from training.priors.cubic import read_cubic, spline_coefficients
 
 LOOPS, TASKS = 12, 16
 """Loops per frame, and tasks per loop."""
@@ -135,6 +139,25 @@ def picture_row(side: int, rounds: int) -> dict[str, Any]:
     return in_turns(lambda: depth_in(disc), lambda: ndimage.distance_transform_edt(disc), rounds)
 
 
+def spline_row(cells: int, rounds: int) -> dict[str, Any]:
+    """Colours between the cells of a grid, where atoms are."""
+    rng = np.random.default_rng(0)
+    rgb, at = rng.random((cells, cells, cells, 3), np.float32), rng.uniform(0, cells - 1, (200_000, 3))
+    splines = spline_coefficients(rgb)
+
+    def scipy() -> None:
+        for c in range(3):
+            ndimage.map_coordinates(splines[..., c], at.T, order=3, mode="nearest", output=np.float32, prefilter=False)
+
+    return in_turns(lambda: read_cubic(splines, at), scipy, rounds)
+
+
+def leaf_row(cells: int, rounds: int) -> dict[str, Any]:
+    """How far atoms of four cells are from the colours they stand for."""
+    rgb = np.random.default_rng(0).random((cells, cells, cells, 3), np.float32)
+    return in_turns(lambda: approximation_error(rgb, 4), lambda: plain.approximation_error(rgb, 4), rounds)
+
+
 def thread_row(rounds: int) -> dict[str, Any]:
     """A frame's worth of short loops."""
     out = np.zeros(TASKS)
@@ -159,11 +182,11 @@ def lane_row(size: int, rounds: int) -> dict[str, Any]:
     def draw() -> None:
         rasterize(means, scales, quats, opacities, colours, camera)
 
-    def plain() -> None:
+    def without_lanes() -> None:
         with mock.patch.object(classic, "blend", plain_blend):
             draw()
 
-    return in_turns(draw, plain, rounds)
+    return in_turns(draw, without_lanes, rounds)
 
 
 def chart(rows: dict[str, dict[str, Any]], path: Path) -> None:
@@ -190,6 +213,8 @@ def main(arguments: list[str] | None = None) -> None:
         "distance transform, 128^3 (SciPy)": distance_row(64 if quick else 128, rounds),
         "distance transform, 192^3 (SciPy)": distance_row(64 if quick else 192, rounds),
         "distances in a picture, 1,400^2 (SciPy)": picture_row(350 if quick else 1400, rounds),
+        "splines at 200,000 points (SciPy)": spline_row(16 if quick else 128, rounds),
+        "errors of leaves, 128^3 (SciPy)": leaf_row(32 if quick else 128, rounds),
         f"{LOOPS} short loops (ThreadPoolExecutor)": thread_row(20 * rounds),
         "classic, 20 k, 512^2 (plain loops)": lane_row(256 if quick else 512, rounds),
     }

@@ -7,6 +7,7 @@ each, because a cut shows nothing more of them. Atoms have no opacity: all are o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +115,7 @@ class Atoms:
             coefficients,
         )
 
-    @property
+    @cached_property
     def bounds(self) -> Float:
         """(2, 3). Smallest and largest centre along each axis; zeros if there are no atoms."""
         means = np.concatenate([self.surface.means, self.interior.means])

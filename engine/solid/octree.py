@@ -7,10 +7,11 @@ if atoms of that size reproduce its colours within a tolerance; the tolerance gr
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from engine.threads import side_by_side
+from engine.threads import for_each
 
 __all__ = ["COARSEST", "leaf_levels"]
 
@@ -53,7 +54,7 @@ def leaf_levels(rgb: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[n
     def error_of(size: int) -> NDArray[np.float32]:
         return np.where(blocks(solid, size).min(axis=(1, 3, 5)), approximation_error(rgb, size), np.float32(np.inf))
 
-    errors = side_by_side(error_of, leaf_sizes())
+    errors = [error_of(size) for size in leaf_sizes()]
     cells = int(np.count_nonzero(solid))
     low, high = MIN_TOLERANCE, MAX_TOLERANCE
     if atom_count(merged_blocks(errors, low), cells) > BUDGET * cells:
@@ -92,16 +93,75 @@ def upsample(values: NDArray[np.bool_], size: int) -> NDArray[np.bool_]:
 def approximation_error(rgb: NDArray[np.float32], size: int) -> NDArray[np.float32]:
     """(X / size, ...). Mean squared error of a lattice of atoms of this size, each of its block's mean colour, times
     CONTRAST over the contrast in the block and its neighbours."""
-    error = np.zeros(tuple(n // size for n in rgb.shape[:3]), np.float32)
-    variance = np.zeros_like(error)
-    for channel in np.moveaxis(rgb, -1, 0):
-        means = blocks(channel, size).mean(axis=(1, 3, 5))
-        lattice = ndimage.zoom(means, size, order=1, mode="nearest", grid_mode=True)
-        error += blocks((lattice - channel) ** 2, size).mean(axis=(1, 3, 5)) / rgb.shape[-1]
-        variance += blocks(np.square(channel), size).mean(axis=(1, 3, 5)) / rgb.shape[-1]
-        variance -= np.square(means) / rgb.shape[-1]
+    x, y, z = (n // size for n in rgb.shape[:3])
+    means, variance = np.empty((x, y, z, 3)), np.empty((x, y, z))
+    for_each(_summarise, x, rgb, size, means, variance)
+    error = np.empty((x, y, z))
+    for_each(_compare, x, rgb, size, means, error)
     contrast = np.sqrt(ndimage.maximum_filter(np.maximum(variance, 0), 3) + CONTRAST_FLOOR**2)
-    return error * (CONTRAST / contrast)
+    return (error * (CONTRAST / contrast)).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _summarise(
+    i: int,
+    rgb: NDArray[np.float32],  # [X, Y, Z, 3]
+    size: int,
+    means: NDArray[np.float64],  # out [X / size, Y / size, Z / size, 3]
+    variance: NDArray[np.float64],  # out [X / size, Y / size, Z / size]
+) -> None:
+    """The mean and the variance, over cells and channels, of each block in a layer of blocks."""
+    for j in range(means.shape[1]):
+        for k in range(means.shape[2]):
+            square = 0.0
+            means[i, j, k] = 0
+            for x in range(i * size, (i + 1) * size):
+                for y in range(j * size, (j + 1) * size):
+                    for z in range(k * size, (k + 1) * size):
+                        for c in range(3):
+                            value = np.float64(rgb[x, y, z, c])
+                            means[i, j, k, c] += value
+                            square += value * value
+            means[i, j, k] /= size**3
+            variance[i, j, k] = (square / size**3 - (means[i, j, k] ** 2).sum()) / 3
+
+
+@njit(cache=True, nogil=True)
+def _compare(
+    i: int,
+    rgb: NDArray[np.float32],  # [X, Y, Z, 3]
+    size: int,
+    means: NDArray[np.float64],  # [X / size, Y / size, Z / size, 3]
+    error: NDArray[np.float64],  # out [X / size, Y / size, Z / size]
+) -> None:
+    """The mean squared difference, in each block of a layer, between the colours and the blocks' means, trilinear
+    between the middles of blocks."""
+    last = np.array(means.shape[:3]) - 1
+    cell, along = np.empty(3, np.int64), np.empty(3)
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for j in range(means.shape[1]):
+        for k in range(means.shape[2]):
+            total = 0.0
+            for n in range(size**3):
+                cell[0], cell[1], cell[2] = i * size + n // size**2, j * size + n // size % size, k * size + n % size
+                for axis in range(3):
+                    place = (cell[axis] + 0.5) / size - 0.5
+                    below = int(np.floor(place))
+                    along[axis] = place - below
+                    low[axis], high[axis] = max(below, 0), min(below + 1, last[axis])
+                for c in range(3):
+                    value = 0.0
+                    for d in range(8):
+                        corner_x, corner_y, corner_z = d & 1, d >> 1 & 1, d >> 2
+                        weight = along[0] if corner_x else 1 - along[0]
+                        weight *= along[1] if corner_y else 1 - along[1]
+                        weight *= along[2] if corner_z else 1 - along[2]
+                        x = high[0] if corner_x else low[0]
+                        y = high[1] if corner_y else low[1]
+                        z = high[2] if corner_z else low[2]
+                        value += weight * means[x, y, z, c]
+                    total += (value - rgb[cell[0], cell[1], cell[2], c]) ** 2
+            error[i, j, k] = total / (3 * size**3)
 
 
 def merged_blocks(errors: list[NDArray[np.float32]], tolerance: float) -> list[NDArray[np.bool_]]:

@@ -12,8 +12,9 @@ from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.constants import LATTICE_DENSITY, SOLID_DENSITY
 from engine.scene.grid import Body, Grid
 from engine.solid.fill import fill
-from engine.solid.octree import BUDGET, leaf_levels
+from engine.solid.octree import BUDGET, approximation_error, leaf_levels, leaf_sizes
 from tests.helpers.solids import NO_SURFACE
+from tests.reference import octree as reference
 from training.optimise.deblur import deblur
 
 PITCH = 2 / 80
@@ -67,6 +68,12 @@ def test_a_third_of_the_atoms_shows_the_same_inside():
     # The fine atoms are at the seeds.
     seed = np.linalg.norm(coarse.means - (0.5, 0, 0), axis=1) < 0.08
     assert np.allclose(coarse.sigmas[seed], PITCH / 2)
+
+
+@pytest.mark.parametrize("size", leaf_sizes())
+def test_errors_are_those_of_plain_numpy(size: int):
+    rgb = np.random.default_rng(2).random((16, 24, 32, 3), np.float32)
+    np.testing.assert_allclose(approximation_error(rgb, size), reference.approximation_error(rgb, size), rtol=1e-5)
 
 
 def test_leaves_change_size_by_one_level_at_a_time():

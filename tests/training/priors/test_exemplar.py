@@ -14,6 +14,7 @@ from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from tests.helpers.exemplar_faces import FLESH, RIND, SEED, UP, ball, disc, quiet, save
 from training.families import Family
+from training.priors.cubic import read_cubic, spline_coefficients
 from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.frames import make_space, rim_of, scale_to_voxels
 from training.priors.exemplar.layering.decompose import decompose
@@ -180,6 +181,16 @@ def test_the_rim_of_an_ellipse_runs_smoothly() -> None:
     assert np.nanmax(np.abs(error)) < 1
     for axis in (0, 1):
         assert np.nanquantile(np.abs(np.diff(error, axis=axis)), 0.99) < 0.3
+
+
+def test_splines_are_scipys_also_beyond_the_border() -> None:
+    rng = np.random.default_rng(6)
+    rgb, at = rng.random((9, 8, 7, 3), np.float32), rng.uniform(-3, 11, (500, 3))
+    ours = read_cubic(spline_coefficients(rgb), at)
+    for c in range(3):
+        spline = ndimage.spline_filter(rgb[..., c], order=3, mode="nearest", output=np.float32)
+        theirs = ndimage.map_coordinates(spline, at.T, order=3, mode="nearest", prefilter=False, output=np.float64)
+        np.testing.assert_allclose(ours[:, c], theirs, atol=3e-7)
 
 
 def test_a_spline_is_crisper_and_goes_through_the_cells() -> None:
