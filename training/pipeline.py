@@ -208,12 +208,12 @@ class Pipeline:
             geometry.filled(interior),
         )
 
-    def labelled(self, cuts: Sequence[Slice]) -> Sequence[Slice]:
+    def labelled(self, cuts: list[Slice]) -> list[Slice]:
         """The cuts that need labels: where nothing is trained, only those that previews show."""
         return cuts if self.trains else [cuts[index] for index in previewed(cuts)]
 
     def make_labels(
-        self, geometry: Geometry, cuts: Sequence[Slice], prior: Denoiser | VolumeSolver, stage: Stage
+        self, geometry: Geometry, cuts: list[Slice], prior: Denoiser | VolumeSolver, stage: Stage
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Labels and interior atoms as arrays for the checkpoint, and facts about them.
 

@@ -50,8 +50,8 @@ def test_the_surface_stays_within_a_fifth_of_a_decibel() -> None:
         weights = ViewWeights.section(atoms, plane, camera).truncated(ENTRIES)
         none = cast(Any, None)  # not used by the trainer
         cuts.append(
-            Section(family=Family("horizontal", 9), plane=plane, camera=camera, condition=none, points=none,
-                    weights=weights)
+            Section(family=Family("horizontal", 9), plane=plane, camera=camera, points=none, inside=none, body=none,
+                    extent=none, weights=weights)
         )  # fmt: skip
         label = torch.tensor([0.9, 0.1, 0.1]).expand(64, 64, 3).clone()  # red up to the rim, where green skin is cut
         label[~torch.from_numpy(weights.pixels.reshape(64, 64))] = 1.0
