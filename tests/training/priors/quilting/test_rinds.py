@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.rinds import ANGLES, Rinds
 
@@ -77,6 +78,22 @@ def test_own_planes_show_their_pictures_as_they_are(
     scale = np.linalg.norm(moved, axis=1) / np.linalg.norm(points, axis=1)
     shown = even.read(*(at * scale[:, None]).T)
     assert (is_rind(shown) != is_rind(disc.read(*at.T))).mean() < 0.03
+
+
+def test_at_every_height_horizontal_pictures_have_the_rind_of_radial_ones() -> None:
+    """It is thin at the poles. Otherwise the plane of a radial picture would be a notch in the rind beside it."""
+    x, y = disc_grid()
+    length = np.maximum(np.hypot(x, y), 1e-6)
+    thin_ends = Disc(np.where((1 - length < 0.2 - 0.12 * (y / length) ** 2)[..., None], RIND, FLESH).astype(np.float32))
+    even_all_around = drawn(0.16, 0.16)
+    rinds = Rinds.of([even_all_around], [thin_ends], HEIGHT, 1)
+    even = rinds.even(even_all_around, rinds.across[0], True)
+    depth = np.arange(0, 0.4, 0.001)
+    for up in np.radians([-65, -45, -20, 0, 30, 55]):
+        direction = np.array([0, np.cos(up), np.sin(up)])
+        ball = Ball.of(((1 - depth)[:, None] * direction).astype(np.float32), rinds)
+        wanted = np.interp(np.degrees(up) % 360, np.arange(ANGLES), rinds.usual)
+        assert is_rind(even.read(*ball.level.T)).sum() * 0.001 == pytest.approx(wanted, abs=0.012)
 
 
 def test_between_planes_a_rind_has_no_step(rinds: Rinds) -> None:

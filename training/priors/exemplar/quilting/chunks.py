@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from training.priors.exemplar.noise import Noise
 from training.priors.exemplar.quilting.disc import REACH, to_pixels
+from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.sampling import smoothstep
 
 __all__ = [
@@ -95,8 +96,8 @@ class Ball:
     radius further inside."""
 
     @classmethod
-    def of(cls, points: NDArray[np.float32], is_layered: bool = False) -> Ball:
-        """For points (M, 3). A ball that `is_layered` is rind all through."""
+    def of(cls, points: NDArray[np.float32], rinds: Rinds | None = None, is_layered: bool = False) -> Ball:
+        """For points (M, 3) in a quilt with these `rinds`. A ball that `is_layered` is rind all through."""
         x, y, z = points.T
         radius = np.hypot(x, y)
         length = np.sqrt(x * x + y * y + z * z)
@@ -104,7 +105,8 @@ class Ball:
         deep, under = (smoothstep((1 - length - first) / (last - first)) for first, last in (SHARED, RIND))
         if is_layered:
             deep, under = np.zeros_like(deep), np.zeros_like(under)
-        level = (length * (1 - deep) + share * deep) / np.maximum(radius, 1e-4)
+        skin = length if rinds is None else rinds.in_horizontal(points, length)
+        level = (skin * (1 - deep) + share * deep) / np.maximum(radius, 1e-4)
         rind = 1 - under
         angle = np.arctan2(y, x)
         fields = (radius, length, angle, rind, points[:, :2] * level[:, None])

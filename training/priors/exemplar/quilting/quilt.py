@@ -196,7 +196,7 @@ class Quilt:
 
     def ball(self, points: NDArray[np.float32]) -> Ball:
         """Points (M, 3) of the quilt with what its chunks need of them."""
-        return Ball.of(points, self.is_layered)
+        return Ball.of(points, self.rinds, self.is_layered)
 
     @cached_property
     def cores(self) -> Cores | None:
@@ -228,7 +228,7 @@ def make_quilt(
         progress(step / len(LEVELS))
         coarse, before = number, chosen
         number, cells, points = _grid(size)
-        ball = Ball.of(points, is_layered)
+        ball = Ball.of(points, rinds, is_layered)
         at_cells = weigh_labels(labels, along, ball, 2 / size, seed)
         if coarse is None or before is None:
             chosen = at_cells.costs.argmin(1).astype(np.int32)
@@ -264,7 +264,7 @@ def restore_quilt(
     labels = _make_labels(across, along, height, seed)
     if not 0 <= chosen.min() <= chosen.max() < len(labels):
         raise ValueError("a label that no picture has")
-    ball = Ball.of(points, _are_layered([*across, *along]))
+    ball = Ball.of(points, rinds, _are_layered([*across, *along]))
     places = side_by_side(lambda label: label.chunks.places(ball), labels)
     return _assembled(rinds, labels, across, along, seed, number, chosen, ball, places)
 

@@ -147,6 +147,12 @@ class Rinds:
         there = np.where(radius < 1, 1 - depth, radius)
         return Disc(disc.read(there * np.cos(turn), there * np.sin(turn)))
 
+    def in_horizontal(self, points: NDArray[np.float32], length: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(M,). Distances from the middle at which horizontal pictures, whose rind is as thick as at their height, show
+        what lies at points (M, 3) of the quilt at these distances (M,)."""
+        up = np.arcsin(np.clip(points[:, 2] / np.maximum(length, 1e-3), -1, 1))
+        return 1 - _moved(1 - length, _around(self.usual, up), np.full(len(length), self.level))
+
     def evened(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Points (M, 3) of the ball, moved to their places in the quilt."""
         x, y, z = points.T
