@@ -44,8 +44,8 @@ from engine.scene.sh import sh_to_rgb
 from tests.helpers.app_isolate_steps import MAT, melon_on_a_mat
 from tests.helpers.app_objects import atoms, full
 from tests.helpers.solids import joined, round_gaussians
+from tests.helpers.workers.quick_scene_worker import BODY_CELLS, QUICK, use_quick_worker
 from tests.paths import ROOT
-from tests.quick_scene_worker import BODY_CELLS, QUICK, use_quick_worker
 from training.events import Reporter
 from training.families import Family
 from training.pipeline import prepare

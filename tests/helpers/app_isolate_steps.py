@@ -28,7 +28,7 @@ from engine.scene.sh import rgb_to_sh
 from tests.helpers.app_driver import Driver, drive
 from tests.helpers.app_steps import ground
 from tests.helpers.solids import ball, joined, unturned
-from tests.quick_scene_worker import use_quick_worker
+from tests.helpers.workers.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
 MAT = 3000

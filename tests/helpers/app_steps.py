@@ -36,8 +36,8 @@ from app.ui.window import Window
 from engine.io.splats.ply import read_ply
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from tests.helpers.app_driver import Driver, drive
+from tests.helpers.workers.quick_scene_worker import use_quick_worker
 from tests.paths import HELPERS
-from tests.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
 WARM = 500
