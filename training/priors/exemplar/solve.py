@@ -22,7 +22,7 @@ from engine.scene.inside import Inside
 from engine.threads import side_by_side
 from training.families import Family
 from training.priors.exemplar.frames import Frame, ScaledPicture, Space, View, make_space, scale_to_voxels
-from training.priors.exemplar.layering.core_line import extract_core
+from training.priors.exemplar.layering.core_shell import extract_core_shell
 from training.priors.exemplar.layering.correction import RING_SAMPLES, Correction
 from training.priors.exemplar.layering.decompose import Layers, decompose
 from training.priors.exemplar.layering.extrusion import Extrusion
@@ -242,8 +242,8 @@ def _lay_course(
     core, height_mask = None, None
     if radial is not None:
         if view.kind == POLAR:
-            others = [extract_core(parts, layers[radial])[1] for parts in layers[carrier][1:]]
-            core, first, layers[radial] = extract_core(layers[carrier][0], layers[radial])
+            others = [extract_core_shell(parts, layers[radial])[1] for parts in layers[carrier][1:]]
+            core, first, layers[radial] = extract_core_shell(layers[carrier][0], layers[radial])
             layers[carrier] = [first, *others]
         height_mask = make_height_mask(layers[carrier][0], layers[radial], rng)
     main = layers[carrier][0]
