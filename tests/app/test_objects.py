@@ -17,7 +17,7 @@ from app.model.document import Document, Part, Training
 from app.model.film.throw import SECONDS
 from app.model.history import History
 from app.model.knife import Stroke
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.project import Project, Viewing, Work, load_project, save_project
 from app.session.session import Session
 from engine.isolate.bodies import Bodies, find_bodies
@@ -80,7 +80,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     scene = tmp_path / "two.ply"
     made = Session(history=History(Work((Document(scene=scene),))), viewing=Viewing(EYE, "solid"))
-    made.object = LoadedObject(SceneRequest(scene), CAPTURE, None, Solid.of(CAPTURE.means))
+    made.object = LoadedObject(SceneRequest(scene), CAPTURE, None, PointSample.of(CAPTURE.means))
     settle(made)
     return made
 
@@ -90,7 +90,7 @@ def make_solid(session: Session) -> None:
         left = CAPTURE[~removed(CAPTURE, document.isolation)]
         atoms = moved(ball(1 / 12, degree=0), float(left.means[:, 0].mean()))
         request = SceneRequest(Path("two.ply"), isolation=document.isolation)
-        session.loaded[document.number] = LoadedObject(request, CAPTURE, atoms, Solid.of_atoms(atoms))
+        session.loaded[document.number] = LoadedObject(request, CAPTURE, atoms, PointSample.of_atoms(atoms))
         session.activate(index, False)
 
 
@@ -137,7 +137,7 @@ def test_separate_bodies_become_objects_once_and_undo_makes_them_one(session: Se
 
 def test_a_project_that_was_saved_as_one_object_stays_one(session: Session, tmp_path: Path) -> None:
     other = Session(history=History(Work((Document(scene=tmp_path / "two.ply"),))), path=tmp_path / "a.fruitninja")
-    other.object = LoadedObject(SceneRequest(tmp_path / "two.ply"), CAPTURE, None, Solid.of(CAPTURE.means))
+    other.object = LoadedObject(SceneRequest(tmp_path / "two.ply"), CAPTURE, None, PointSample.of(CAPTURE.means))
     settle(other)
     assert len(other.documents) == 1
 

@@ -18,7 +18,7 @@ from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera, project_points
 from app.model.capture_view import view_of
 from app.model.document import Part
-from app.model.pieces import Solid, pieces
+from app.model.pieces import PointSample, pieces
 from app.model.project import Viewing, ViewMode
 from app.model.settings import Settings
 from app.session.session import Session
@@ -69,7 +69,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     atoms = ball()
     made = Session(settings=Settings(), viewing=Viewing(EYE, "solid"))
-    made.object = LoadedObject(SceneRequest(tmp_path / "ball.ply"), None, atoms, Solid.of_atoms(atoms))
+    made.object = LoadedObject(SceneRequest(tmp_path / "ball.ply"), None, atoms, PointSample.of_atoms(atoms))
     made.geometry_version = 1
     return made
 

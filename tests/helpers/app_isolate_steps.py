@@ -15,7 +15,7 @@ from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Training
 from app.model.history import History
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.project import Viewing, Work
 from app.model.samples import sample_document
 from app.model.settings import Settings
@@ -177,7 +177,7 @@ def two_balls(session: Session, scene: Path) -> None:
     )
     for document, atoms in zip(session.documents, solids, strict=True):
         request = SceneRequest(scene, isolation=document.isolation)
-        session.loaded[document.number] = LoadedObject(request, capture, atoms, Solid.of_atoms(atoms))
+        session.loaded[document.number] = LoadedObject(request, capture, atoms, PointSample.of_atoms(atoms))
         session.scene._isolations[document.number] = document.isolation
     session.geometry_version += 1
     session.viewing = Viewing(OrbitCamera(azimuth=-90.0, elevation=10.0, distance=4.0), "solid")

@@ -13,7 +13,7 @@ from app.model.camera_control import OrbitCamera
 from app.model.document import DEFAULT_GAP, Cut, Document, Part
 from app.model.film import presets
 from app.model.film.motion import Film, Keyframe, motion, seen
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.rigid_transform import Vec3
 from engine.scene.plane import Plane
 
@@ -125,7 +125,9 @@ Played = Callable[[float], tuple[OrbitCamera, tuple[Document, ...]]]
 """The camera of a film at a time, and the documents as the film shows them then."""
 
 
-def played(timeline: Timeline, documents: tuple[Document, ...], solids: Mapping[int, Solid]) -> tuple[Played, bool]:
+def played(
+    timeline: Timeline, documents: tuple[Document, ...], solids: Mapping[int, PointSample]
+) -> tuple[Played, bool]:
     """What a film of at least one moment shows at any time, and whether it loops without a jolt.
 
     `solids`: those of the documents, by their numbers. A plane that a moment does not have opens nothing then: it has
@@ -153,7 +155,7 @@ class _Tracks:
     ids: tuple[int, ...]
 
     @staticmethod
-    def of(timeline: Timeline, document: Document, solid: Solid) -> _Tracks:
+    def of(timeline: Timeline, document: Document, solid: PointSample) -> _Tracks:
         found = [next((o for o in one.objects if o.number == document.number), None) for one in timeline.moments]
         known = [opened for opened in found if opened is not None] or [Opened.of(document)]
         states = [known[0] if opened is None else opened for opened in found]
@@ -198,7 +200,7 @@ def _runs(planes: list[Plane | None]) -> list[list[Plane | None]]:
     return runs
 
 
-def _outside(run: list[Plane | None], k: int, solid: Solid) -> Plane:
+def _outside(run: list[Plane | None], k: int, solid: PointSample) -> Plane:
     """A plane that stands in where one is missing at moment `k`: turned as before, or else as later, but outside the
     object, so that it opens nothing."""
     before, after = [p for p in run[:k] if p is not None], [p for p in run[k:] if p is not None]
@@ -215,7 +217,7 @@ def turning(now: Moment, seconds: float) -> Timeline:
     )
 
 
-def sweeping(now: Moment, seconds: float, number: int, cut_id: int, plane: Plane, solid: Solid) -> Timeline:
+def sweeping(now: Moment, seconds: float, number: int, cut_id: int, plane: Plane, solid: PointSample) -> Timeline:
     """A plane that moves through the object of this number and back. `cut_id`: the cut that it belongs to."""
     film = presets.sweep(Keyframe(0.0, 0.0, 0.0), seconds, plane, solid.points)
 

@@ -33,9 +33,9 @@ from engine.render.cpu.splats import RECORD, TILE, Splats
 from engine.render.cpu.tiles import CHUNKS, TILES_PER_TASK, TiledSplats, accumulate, tile_lists
 from engine.render.cpu.weights import SUMS
 from engine.render.culling.draw_options import DrawOptions
+from engine.render.culling.drawable import Drawable
 from engine.render.culling.groups import Group, Rect, visible_groups
 from engine.render.culling.piece_faces import Face, atoms_at_face, scale_of, visible_faces
-from engine.render.culling.solid import Solid
 from engine.render.culling.store import Ellipsoids, Spheres
 from engine.render.culling.view import View
 from engine.render.culling.visible import visible_atoms
@@ -62,7 +62,7 @@ def is_software(renderer: str) -> bool:
 class _Group:
     """Pieces that lie together, in a rectangle of the picture."""
 
-    solid: Solid
+    solid: Drawable
     options: DrawOptions
     number: int
     view: View
@@ -97,7 +97,7 @@ class SoftwareMode:
 
     def draw(
         self,
-        solids: Sequence[Solid],
+        solids: Sequence[Drawable],
         camera: Camera,
         pieces: Sequence[Piece],
         groups: Sequence[Group],

@@ -18,14 +18,14 @@ from app.model.camera_control import OrbitCamera
 from app.model.document import DEFAULT_GAP, Document, Part
 from app.model.film.timeline import FilmLook, Moment, Timeline, exploding, moment, played, sweeping, turning
 from app.model.history import History
-from app.model.pieces import Solid, sections
+from app.model.pieces import PointSample, sections
 from app.model.project import Project, Viewing, Work
 from app.session.session import Session
 from engine.errors import InputError
 from engine.scene.plane import Plane
 from tests.helpers.solids import ball
 
-BALL = Solid.of(np.random.default_rng(0).uniform(-1, 1, (2000, 3)))
+BALL = PointSample.of(np.random.default_rng(0).uniform(-1, 1, (2000, 3)))
 EYE = OrbitCamera((0.1, 0.2, -0.3), 170.0, 20.0, 3.0, 40.0)
 HALVED = Document(number=3, scene=Path("melon.ply")).with_cut((Part(Plane.of((1, 0, 0), 0.0)),))
 OPENED = HALVED.with_cut((Part(Plane.of((0, 0, 1), 0.25)),), "Plane", "section")
@@ -106,7 +106,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
     made = Session(history=History(Work((HALVED,))), viewing=Viewing(EYE, "capture"), autosave=Autosave(tmp_path))
     atoms = ball(1 / 8)
-    made.object = LoadedObject(SceneRequest(Path("melon.ply")), atoms=atoms, solid=Solid.of_atoms(atoms))
+    made.object = LoadedObject(SceneRequest(Path("melon.ply")), atoms=atoms, solid=PointSample.of_atoms(atoms))
     return made
 
 
