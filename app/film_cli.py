@@ -138,7 +138,7 @@ def film_project(
     size of its frames in words. `size`, `fps`, `background`: None for the project's own. `drawn` is called with the
     part that is drawn. Raises InputError if there is no film, or if it cannot be saved."""
     project = load_project(path, outside=load_settings().trusts(path))
-    if len(project.film.moments) < 2:
+    if len(project.film.keyframes) < 2:
         raise InputError(f"{path}: this project has no film; keep two keyframes in the window, and save it")
     kept = project.viewing.film
     look = FilmLook(size or kept.size, kept.rate if fps is None else fps)

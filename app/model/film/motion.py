@@ -31,7 +31,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class Keyframe:
-    """What a film shows at one moment."""
+    """What a film shows of one object at one time."""
 
     time: float
     """Seconds from the beginning. Range [0, inf)."""
