@@ -165,14 +165,14 @@ def test_a_stroke_cuts_the_selected_object_or_all(session: Session) -> None:
     assert not session.documents[0].cuts and "hidden" in session.message
 
 
-def test_what_is_marked_becomes_an_object_of_its_own(session: Session) -> None:
+def test_what_is_selected_becomes_an_object_of_its_own(session: Session) -> None:
     session.activate(0)
     left = CAPTURE[~removed(CAPTURE, session.document.isolation)]
     centre = left.means.mean(0).astype(float)
     lid = Sphere((float(centre[0]), float(centre[1]), float(centre[2]) + 0.5), 0.4)
-    session.change("Select", replace(session.document, marked=(Step("add", lid),), training=Training(seed=3)))
+    session.change("Select", replace(session.document, selection=(Step("add", lid),), training=Training(seed=3)))
     settle(session)
-    session.isolation.split_marked()
+    session.isolation.split_selected()
     assert [document.number for document in session.documents] == [1, 3, 2]
     parts = [~removed(CAPTURE, document.isolation) for document in session.documents]
     assert np.array_equal(sum(part.astype(int) for part in parts), np.ones(len(CAPTURE)))

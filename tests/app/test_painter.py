@@ -166,7 +166,7 @@ def test_a_capture_is_uploaded_and_drawn_in_slices(
     assert np.array_equal(gradual.rgb, at_once.rgb) and gradual.rgb.max() > 0.1
 
 
-def test_what_is_marked_is_tinted_in_the_window_and_not_in_a_saved_picture(painter: Painter, session: Session) -> None:
+def test_the_selected_is_tinted_in_the_window_but_not_in_a_saved_picture(painter: Painter, session: Session) -> None:
     s, red = ball().surface, (1.0, 0.0, 0.0)
     session.viewing = Viewing(EYE, "capture")
     capture = Gaussians(s.means, s.scales, s.quats, np.full(len(s), 0.9, np.float32), s.sh)

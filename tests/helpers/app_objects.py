@@ -46,7 +46,7 @@ def full(folder: Path) -> Project:
     view = View((0.1, 1 / 3, -2.0), (0.6, 0.0, 0.8, 0.0), (0.5, 0.4))
     lasso = Step("add", Lasso(view, ((-1.0, 0.0), (1.0, 0.1), (0.0, 0.9))))
     box = Box((-1.0, 0.0, 0.1), (1.0, 1 / 3, 2.0), (0.0, 0.0, 0.0, 1.0))
-    document = replace(document, isolation=(keep_only(box),), marked=(lasso, Step("grow")))
+    document = replace(document, isolation=(keep_only(box),), selection=(lasso, Step("grow")))
     eye = OrbitCamera((0.1, 1e9, -3.0), 12.5, -90.0, 1 / 3, 50.0, True)
     document = replace(document, number=1, name="Käse", visible=False)
     other = Document(document.scene, isolation=(keep_only(BodyAt((0.1, 1 / 3, -2.0))),), number=7, name="Brot")
