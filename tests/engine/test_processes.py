@@ -1,4 +1,4 @@
-"""What is measured of processes."""
+"""The peak memory of a process."""
 
 from __future__ import annotations
 

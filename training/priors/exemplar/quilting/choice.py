@@ -1,4 +1,4 @@
-"""What a quilt's labels cost and show at the cells of a grid, and how much of grains there should be."""
+"""What a quilt's labels cost and show at the cells of a grid, and how many grains there should be."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GONE_COST = 4.0
 to close over and must end at a seam."""
 
 REGIONS = (10, 20)
-"""Bins of radius and height, blurred by their width, in which the pictures tell how much of grains there is. One gain
+"""Bins of radius and height, blurred by their width, in which the pictures tell how much grains cover there. One gain
 for all places heaps them where the pictures have most."""
 
 UNSEEN_COST, UNSEEN_MOST = 2.0, 0.1
