@@ -21,7 +21,7 @@ from app.model.film.motion import Film, Keyframe, frame_count, frames, placed, s
 from app.model.film.presets import explode, sweep, turntable
 from app.model.film.record import LONGEST, film_record, read_film
 from app.model.film.timeline import FilmLook
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.project import SUFFIX, load_project
 from app.model.rigid_transform import Vec3, vec3
 from app.model.settings import load_settings
@@ -138,7 +138,7 @@ def film_project(
     size of its frames in words. `size`, `fps`, `background`: None for the project's own. `drawn` is called with the
     part that is drawn. Raises InputError if there is no film, or if it cannot be saved."""
     project = load_project(path, outside=load_settings().trusts(path))
-    if len(project.film.moments) < 2:
+    if len(project.film.keyframes) < 2:
         raise InputError(f"{path}: this project has no film; keep two keyframes in the window, and save it")
     kept = project.viewing.film
     look = FilmLook(size or kept.size, kept.rate if fps is None else fps)
@@ -166,7 +166,7 @@ def film_project(
 
 def save_film(out: Path, wanted: FilmOptions, scene: Scene, shot: Shot, settings: dict[str, str]) -> str:
     """Saves a film and returns the number of its frames in words. `settings`: all else that decides how frames look."""
-    solid = Solid.of_atoms(scene.atoms)
+    solid = PointSample.of_atoms(scene.atoms)
     film = film_of(wanted, scene, solid)
     count = frame_count(film.seconds, wanted.rate)
     aspect = scene.size[0] / scene.size[1]
@@ -193,7 +193,7 @@ def save_film(out: Path, wanted: FilmOptions, scene: Scene, shot: Shot, settings
     return f"{count} frames, {new} of them new,"
 
 
-def film_of(wanted: FilmOptions, scene: Scene, solid: Solid) -> Film:
+def film_of(wanted: FilmOptions, scene: Scene, solid: PointSample) -> Film:
     """The keyframes of a film."""
     if wanted.keyframes is not None:
         return wanted.keyframes

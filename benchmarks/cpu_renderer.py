@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import platform
-import resource
 import subprocess
 import sys
 import time
@@ -30,6 +29,7 @@ from benchmarks.support.charts import ACCENT, plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of
 from benchmarks.support.timing import timed
 from engine.io.files import write_json
+from engine.processes import peak_memory
 from engine.render.classic.differentiable import rasterize
 from engine.scene.camera import Camera, orbit
 from engine.threads import cores, use_cores
@@ -129,7 +129,7 @@ def pick(parameters: list[Tensor]) -> list[Tensor]:
     return [parameters[0], parameters[1], parameters[3], parameters[4]]
 
 
-def peak_memory(count: int, size: int) -> float:
+def memory_of(count: int, size: int) -> float:
     """Peak MB of a process that does nothing but one forward+backward, libraries included."""
     command = [sys.executable, "-m", "benchmarks.cpu_renderer", "--memory", str(count), str(size)]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
@@ -187,12 +187,11 @@ def main(arguments: list[str] | None = None) -> None:
     if options.memory:
         count, size = options.memory
         ours([parameter.requires_grad_() for parameter in scene(count)], view(size), outer(size))
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        print(peak / 2**20 if sys.platform == "darwin" else peak / 2**10)
+        print(peak_memory() / 2**20)
         return
     folder = out_folder(options)
     # First, because a child's peak starts from its parent's.
-    memory = None if options.quick else peak_memory(COUNTS[-1], SIZES[-1])
+    memory = None if options.quick else memory_of(COUNTS[-1], SIZES[-1])
     rows = []
     for count in COUNTS[:1] if options.quick else COUNTS:
         for size in SIZES[:1] if options.quick else SIZES:

@@ -33,11 +33,11 @@ from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, cameras_around
 from engine.scene.gaussians import Gaussians
+from engine.scene.image import psnr
 from engine.scene.plane import Plane
 from engine.solid.fill import fill
 from training.events import Reporter
 from training.families import Family
-from training.optimise.losses import psnr
 from training.pipeline import prepare
 from training.request import Request
 from training.settings import DETAILS, Detail, DetailName

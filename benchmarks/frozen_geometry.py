@@ -11,7 +11,6 @@ runs; `busy` is processor time over cores, which a loaded machine disturbs less.
 from __future__ import annotations
 
 import json
-import resource
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from benchmarks.support.timing import timed
 from engine.fit.differentiable import AtomTensors, opaque_image
 from engine.fit.view_weights import ViewWeights
 from engine.io.files import write_json
+from engine.processes import peak_memory
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.opaque import render
 from engine.scene import sh
@@ -138,7 +138,7 @@ def measure(atoms: Atoms, camera: Camera, kind: str, times: int) -> dict[str, ob
             "busy": busy,
             "error dB": round(float(10 * np.log10(np.square(wrong, dtype=np.float64).mean() + 1e-20)), 1),
         }
-    row["peak megabytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    row["peak megabytes"] = peak_memory() // 2**20
     return row
 
 

@@ -40,10 +40,10 @@ from engine.render.gl import Renderer
 from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera, fit_distance, orbit
+from engine.scene.image import psnr
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import cores
-from tests.helpers.gl_scenes import psnr
 from tests.helpers.solids import rows_of
 from tests.reference.classic import picture as classic_reference
 from tests.reference.opaque import reference

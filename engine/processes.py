@@ -1,4 +1,4 @@
-"""Starts Python child processes that run no code from the current folder.
+"""Starts Python child processes that run no code from the current folder; measures the memory of this process.
 
 Users run `fruitninja` in the folder of a downloaded capture, together with whatever else its archive contained.
 `python -m` and the processes that multiprocessing starts would import from there first.
@@ -14,7 +14,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["HOME", "safe_imports", "start_python"]
+import psutil
+
+__all__ = ["HOME", "peak_memory", "safe_imports", "start_python"]
 
 HOME = Path(__file__).resolve().parents[1]
 """The folder of this program, which is trusted as much as the program itself."""
@@ -44,3 +46,13 @@ def safe_imports() -> Iterator[None]:
             del os.environ["PYTHONSAFEPATH"]
         else:
             os.environ["PYTHONSAFEPATH"] = before
+
+
+def peak_memory() -> int:
+    """The most memory that this process has had so far, bytes."""
+    if sys.platform == "win32":
+        return int(psutil.Process().memory_info().peak_wset)
+    import resource  # not on Windows; psutil has no peak anywhere else
+
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else 1024 * most

@@ -10,9 +10,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from engine.scene import sh
+from engine.scene.camera import spread_directions
 from engine.scene.gaussians import Gaussians
 from engine.scene.rotations import rotation_matrices
-from sample_scenes.solids import Solid, directions
+from sample_scenes.solids import Solid
 
 __all__ = ["LOOKS", "Look", "shell"]
 
@@ -77,7 +78,7 @@ def shell(solid: Solid, look: Look, rng: np.random.Generator) -> Gaussians:
 
 def _samples(solid: Solid, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Skin points (M, 3), their normals and the area each stands for (M,)."""
-    rays = directions(count)
+    rays = spread_directions(count)
     # A cone of solid angle w meets a skin at slant cosine c in area w r^2 / c; more rays where that is more, so that
     # the far corners of a loaf are sampled as densely as its sides.
     points = solid.skin_points(rays)
@@ -178,7 +179,7 @@ def _gaussians(
     coefficients = np.zeros((len(means), (look.degree + 1) ** 2, 3))
     coefficients[:, 0] = sh.rgb_to_sh(np.clip(rgb, 0.004, 0.996))
     if normals is not None and look.degree > 0:
-        views = directions(600)  # eye to Gaussian
+        views = spread_directions(600)  # eye to Gaussian
         mirrored = views[None] - 2 * np.einsum("dk,nk->nd", views, normals)[..., None] * normals[:, None]
         glint = np.maximum(mirrored @ LIGHT, 0) ** 6 * np.clip(-4 * np.einsum("dk,nk->nd", views, normals), 0, 1)
         fit = np.linalg.pinv(sh.basis(views, look.degree))

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-__all__ = ["SOFTWARE", "opened"]
+__all__ = ["BROWSER", "SOFTWARE", "opened"]
 
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 """WebGL without a graphics card."""

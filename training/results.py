@@ -13,10 +13,10 @@ from engine.isolate.record import isolation_record
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms
+from engine.scene.image import psnr
 from engine.scene.inside import Inside
 from training.contact_sheet import save_contact_sheet
 from training.events import Reporter, to_json
-from training.optimise.losses import psnr
 from training.optimise.trainer import Trainer
 from training.request import Geometry, Request
 from training.settings import DETAILS

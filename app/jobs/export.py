@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from app.model.measure.units import Unit, round_length
-from app.model.pieces import PlacedPiece, Solid
+from app.model.pieces import PlacedPiece, PointSample
 from app.model.rigid_transform import Vec3
 from engine.errors import InputError
 from engine.export.body import body_of
@@ -85,7 +85,7 @@ def save_still(path: Path, rgba: NDArray[np.uint8], transparent: bool = True) ->
 
 
 def section_picture(
-    draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Solid, size: int, unit: Unit
+    draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: PointSample, size: int, unit: Unit
 ) -> NDArray[np.uint8]:
     """(H, W, 4). The cut face of the object `uncut`, seen straight on, with a scale bar in the user's `unit` below and
     nothing else around.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.rigid_transform import Vec3
 from app.translation import _
 from engine.errors import InputError
@@ -25,7 +25,7 @@ from engine.io.scratch import Scratch
 from engine.isolate.record import isolation_record, read_isolation
 from engine.isolate.selection import Isolation
 from engine.processes import start_python
-from engine.render.culling.solid import Solid as Drawn
+from engine.render.culling.drawable import Drawable
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.inside import Inside
@@ -61,9 +61,9 @@ class LoadedObject:
     capture: Gaussians | None = None
     """The whole capture, including what does not belong to the object."""
     atoms: Atoms | None = None
-    solid: Solid | None = None
+    solid: PointSample | None = None
     """The points of the atoms, or of the capture before there are atoms."""
-    outline: Solid | None = None
+    outline: PointSample | None = None
     """The points of the capture, including what lies beside the body: a mat, leaves. None until they are known."""
     up: Vec3 = (0.0, 0.0, 1.0)
     """Detected up axis, unit vector."""
@@ -75,7 +75,7 @@ class LoadedObject:
     """Whether the inside has been trained."""
     coarse: Gaussians | None = None
     """Some of a large capture's Gaussians, enlarged, to be shown until all are loaded."""
-    drawn: Drawn | None = None
+    drawn: Drawable | None = None
     """The atoms prepared for drawing, in a thread that the window does not wait for."""
     inside: Inside | None = None
     """What the faces of a trained object are read from when the view is at rest; None if it has only atoms."""
@@ -171,7 +171,7 @@ class SceneLoader:
                 notes=tuple(facts["warnings"]),
             )
             return
-        drawn: Drawn = arrays["drawn"]
+        drawn: Drawable = arrays["drawn"]
         notes = tuple(dict.fromkeys((*self.scene.notes, *facts["notes"])))
         self.scene = replace(
             self.scene,
@@ -238,15 +238,15 @@ def _prepared(line: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:
         surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
         interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], line["facts"]["exposed"])
         atoms = Atoms(surface, interior, line["facts"]["pitch"])
-        return {"drawn": Drawn(atoms), "solid": Solid.of_atoms(atoms)}
+        return {"drawn": Drawable(atoms), "solid": PointSample.of_atoms(atoms)}
     means = arrays["means"]
     step = -(-len(means) // LOOKED_AT) or 1
     means = means[::step]
     return arrays | {"solid": _extent(means[~arrays["removed"][::step]] if "removed" in arrays else means)}
 
 
-def _extent(means: NDArray[np.float32]) -> Solid:
+def _extent(means: NDArray[np.float32]) -> PointSample:
     """A solid of centres (N, 3), without the few outliers that most captures have: these must not determine what fits
     the window."""
     low, high = np.percentile(means, [2, 98], axis=0) if len(means) else np.zeros((2, 3))
-    return Solid.of(means[((means >= low) & (means <= high)).all(1)])
+    return PointSample.of(means[((means >= low) & (means <= high)).all(1)])

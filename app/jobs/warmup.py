@@ -14,8 +14,8 @@ import numpy as np
 
 from engine.render.cpu.software import SoftwareMode
 from engine.render.culling.draw_options import DrawOptions
+from engine.render.culling.drawable import Drawable
 from engine.render.culling.groups import group_pieces
-from engine.render.culling.solid import Solid
 from engine.render.gl import GLMissing, Renderer
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import orbit
@@ -51,7 +51,7 @@ def warm_up() -> None:
 
 def load_kernels() -> None:
     """Draws the same ball without OpenGL, in any thread."""
-    software, solids = SoftwareMode(), [Solid(ball())]
+    software, solids = SoftwareMode(), [Drawable(ball())]
     for pieces in ((Piece(()),), halves()):
         for exact in (True, False, False):
             options = DrawOptions(interior_only=False, light=True, exact=exact, level=0, cull=True)

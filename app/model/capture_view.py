@@ -1,4 +1,4 @@
-"""The part of a capture that is shown: what the isolations of its objects leave, with marked Gaussians tinted."""
+"""The part of a capture that is shown: what the isolations of its objects leave, with selected Gaussians tinted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from engine.scene.sh import rgb_to_sh
 __all__ = ["CaptureView", "view_of"]
 
 TINT = 0.7
-"""Share of the tint in a marked Gaussian's colour: it stands out on any colour, and the original still shows."""
+"""Share of the tint in a selected Gaussian's colour: it stands out on any colour, and the original still shows."""
 
 
 @dataclass(frozen=True)
@@ -26,15 +26,15 @@ class CaptureView:
     isolation: Isolation
     steps: Selection
     tint: Vec3
-    """RGB of marked Gaussians. Range [0, 1]."""
+    """RGB of selected Gaussians. Range [0, 1]."""
     beside: tuple[Isolation, ...]
     """Isolations of the other objects that are shown."""
     left: Gaussians
     """The K Gaussians that the isolation leaves."""
-    marked: NDArray[np.bool_]
+    selected: NDArray[np.bool_]
     """(K,). Which Gaussians of `left` the steps select."""
     shown: Gaussians
-    """What is drawn: `left` with the marked Gaussians tinted, then `others`."""
+    """What is drawn: `left` with the selected Gaussians tinted, then `others`."""
     plain: Gaussians
     """The same as `shown` without a tint."""
     others: Gaussians
@@ -65,12 +65,12 @@ def view_of(
     if before is not None and before.capture is capture and before.isolation == isolation:
         left = before.left
         done = len(before.steps) if steps[: len(before.steps)] == before.steps else 0
-        marked = before.marked if done else np.zeros(len(left), bool)
+        selected = before.selected if done else np.zeros(len(left), bool)
     else:
         left, done = capture[~removed(capture, isolation)] if isolation else capture, 0
-        marked = np.zeros(len(left), bool)
+        selected = np.zeros(len(left), bool)
     for step in steps[done:]:
-        marked = take_step(left, marked, step)
+        selected = take_step(left, selected, step)
     if before is not None and before.capture is capture and before.beside == beside:
         others = before.others
     else:
@@ -79,8 +79,8 @@ def view_of(
             gone &= removed(capture, other)
         others = capture[~gone]
     plain = joined(left, others)
-    shown = joined(tinted(left, marked, tint), others) if marked.any() else plain
-    return CaptureView(capture, isolation, steps, tint, beside, left, marked, shown, plain, others)
+    shown = joined(tinted(left, selected, tint), others) if selected.any() else plain
+    return CaptureView(capture, isolation, steps, tint, beside, left, selected, shown, plain, others)
 
 
 def joined(first: Gaussians, second: Gaussians) -> Gaussians:
@@ -92,11 +92,11 @@ def joined(first: Gaussians, second: Gaussians) -> Gaussians:
     return Gaussians(*arrays, origin=first.origin)
 
 
-def tinted(gaussians: Gaussians, marked: NDArray[np.bool_], tint: Vec3) -> Gaussians:
-    """The Gaussians with the `marked` ones (N,) mixed with a colour; opacities stay as they are."""
-    if not marked.any():
+def tinted(gaussians: Gaussians, selected: NDArray[np.bool_], tint: Vec3) -> Gaussians:
+    """The Gaussians with the `selected` ones (N,) mixed with a colour; opacities stay as they are."""
+    if not selected.any():
         return gaussians
     sh = gaussians.sh.copy()
-    sh[marked] *= 1 - TINT
-    sh[marked, 0] += TINT * rgb_to_sh(np.array(tint, np.float32))
+    sh[selected] *= 1 - TINT
+    sh[selected, 0] += TINT * rgb_to_sh(np.array(tint, np.float32))
     return replace(gaussians, sh=sh)

@@ -144,7 +144,7 @@ class Document:
     """Unit vector; None: as detected."""
     isolation: Isolation = ()
     """The parts of the capture that do not belong to the object; () for none."""
-    marked: Selection = ()
+    selection: Selection = ()
     """The selected part of the rest of the capture, to be kept or removed next."""
     cuts: tuple[Cut, ...] = ()
     placements: tuple[tuple[Key, Placement], ...] = ()

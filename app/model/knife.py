@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from app.model.camera_control import project_points, ray
 from app.model.document import Document, Key, Part
-from app.model.pieces import PlacedPiece, Solid, visible_pieces
+from app.model.pieces import PlacedPiece, PointSample, visible_pieces
 from app.model.rigid_transform import Vec3
 from app.translation import _, ngettext
 from engine.scene.camera import Camera, equator
@@ -227,7 +227,7 @@ def snapped_plane(
 
 def slice_object(
     document: Document,
-    solid: Solid,
+    solid: PointSample,
     camera: Camera,
     stroke: Stroke,
     up: Vec3,
@@ -256,7 +256,7 @@ def slice_object(
     )
 
 
-def _crossed(piece: PlacedPiece, solid: Solid, camera: Camera, blade: Sequence[Facet]) -> bool:
+def _crossed(piece: PlacedPiece, solid: PointSample, camera: Camera, blade: Sequence[Facet]) -> bool:
     """Whether the blade divides the piece, and the drawn line passes over a place where it does."""
     points = piece.motion.apply(solid.points[piece.rows])
     removed, passed = np.zeros(len(points), bool), False
@@ -315,7 +315,7 @@ def plane_through(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.
 
 
 def slice_evenly(
-    document: Document, solid: Solid, normal: NDArray[np.float64], count: int, selected: Iterable[Key] = ()
+    document: Document, solid: PointSample, normal: NDArray[np.float64], count: int, selected: Iterable[Key] = ()
 ) -> Document | None:
     """Cuts the visible pieces, or only the selected ones among them, into `count` slices of equal thickness along a
     unit normal (3,), between the first and the last point of all of them together. None if there is nothing to cut."""

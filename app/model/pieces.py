@@ -20,7 +20,7 @@ __all__ = [
     "Cell",
     "Member",
     "PlacedPiece",
-    "Solid",
+    "PointSample",
     "pieces",
     "placed_pieces",
     "sections",
@@ -44,7 +44,7 @@ MOST_STEPS = 300
 
 
 @dataclass(frozen=True)
-class Solid:
+class PointSample:
     """A sample of the object's points, for questions about its extent and about which side of a plane it is on."""
 
     points: NDArray[np.float64]
@@ -57,24 +57,24 @@ class Solid:
     """How many of the points are on the surface. Range [0, N]."""
 
     @staticmethod
-    def of(given: NDArray[np.floating], limit: int = SAMPLE) -> Solid:
+    def of(given: NDArray[np.floating], limit: int = SAMPLE) -> PointSample:
         """From points (N, 3), of which at most `limit` are sampled, always the same ones."""
         points = _sample(given, limit)
         if not len(points):
-            return Solid(np.zeros((0, 3)), np.zeros(3), 1.0)
+            return PointSample(np.zeros((0, 3)), np.zeros(3), 1.0)
         low, high = points.min(0), points.max(0)
         centre = (low + high) / 2
         radius = float(np.sqrt(((points - centre) ** 2).sum(1).max())) or 1.0
-        return Solid(points, centre, radius)
+        return PointSample(points, centre, radius)
 
     @staticmethod
-    def of_atoms(atoms: Atoms) -> Solid:
+    def of_atoms(atoms: Atoms) -> PointSample:
         """From the centres of atoms. Stray surface atoms far from the interior are left out."""
         skin, inside = (_sample(means, SAMPLE // 2) for means in (atoms.surface.means, atoms.interior.means))
         if len(inside):
             reach = 2.5 * float(np.ptp(inside, axis=0).max()) / max(len(inside), 1) ** (1 / 3)
             skin = skin[cKDTree(inside).query(skin, distance_upper_bound=reach)[0] < np.inf]
-        return replace(Solid.of(np.concatenate([skin, inside])), skin=len(skin))
+        return replace(PointSample.of(np.concatenate([skin, inside])), skin=len(skin))
 
     @property
     def spacing(self) -> float:
@@ -152,7 +152,7 @@ class _Fragment:
         return np.concatenate([rows for _, rows in self.cells])
 
 
-def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
+def pieces(document: Document, solid: PointSample) -> list[PlacedPiece]:
     """The pieces of the object except removed ones.
 
     A cut divides a piece only if the solid has points on both sides; otherwise the piece stays as it is.
@@ -191,7 +191,7 @@ def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
     return result
 
 
-def _divide(fragment: _Fragment, parts: Sequence[Part], cut_id: int, solid: Solid) -> list[_Fragment] | None:
+def _divide(fragment: _Fragment, parts: Sequence[Part], cut_id: int, solid: PointSample) -> list[_Fragment] | None:
     """The two sides of a piece; None if all of it is on one side."""
     sides: tuple[list[tuple[Cell, NDArray[np.intp]]], ...] = ([], [])
     for cell, rows in fragment.cells:
@@ -273,7 +273,7 @@ def sections(document: Document) -> tuple[Plane, ...]:
     return tuple(cut.plane(cut.parts[0]) for cut in document.cuts if cut.kind == "section" and cut.on)
 
 
-def shown_points(piece: PlacedPiece, solid: Solid, hidden: Sequence[Plane]) -> NDArray[np.float64]:
+def shown_points(piece: PlacedPiece, solid: PointSample, hidden: Sequence[Plane]) -> NDArray[np.float64]:
     """(M, 3). The points of a piece on the kept side of all planes `hidden`, in world space as the piece is placed."""
     points = solid.points[piece.rows]
     for plane in hidden:
@@ -281,12 +281,12 @@ def shown_points(piece: PlacedPiece, solid: Solid, hidden: Sequence[Plane]) -> N
     return piece.motion.apply(points)
 
 
-def visible_pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
+def visible_pieces(document: Document, solid: PointSample) -> list[PlacedPiece]:
     """The pieces that are not hidden."""
     return [piece for piece in pieces(document, solid) if piece.visible]
 
 
-def placed_pieces(document: Document, solid: Solid, index: int = 0) -> list[Piece]:
+def placed_pieces(document: Document, solid: PointSample, index: int = 0) -> list[Piece]:
     """The renderer's pieces of an object's visible pieces, without what sections hide; `index`: that of its solid."""
     hidden = sections(document)
     return [replace(drawn, solid=index) for piece in visible_pieces(document, solid) for drawn in piece.drawn(hidden)]

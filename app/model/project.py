@@ -172,7 +172,7 @@ def _object_record(document: Document, folder: Path) -> dict[str, Any]:
         "visible": document.visible,
         "up": document.up,
         "isolation": isolation_record(document.isolation),
-        "marked": selection_record(document.marked),
+        "marked": selection_record(document.selection),  # its name since the first such files
         "cuts": [
             {
                 "id": cut.id,
@@ -284,7 +284,7 @@ class _Reader(Fields):
             scene=scene,
             up=self.unit(fields, "up"),
             isolation=read_isolation(self, fields.get("isolation")),
-            marked=read_selection(self, fields.get("marked")),
+            selection=read_selection(self, fields.get("marked")),
             cuts=cuts,
             placements=tuple(sorted(placements, key=lambda item: item[0])),
             families=families,

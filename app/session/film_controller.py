@@ -1,7 +1,7 @@
-"""The film of a session: its moments, where the playhead is, and what the viewport shows of it.
+"""The film of a session: its keyframes, where the playhead is, and what the viewport shows of it.
 
 While the film is shown, the documents are drawn as in the film (`Workspace.previewed`), but not changed; the camera is
-the window's own, so that the user can look around from any moment and keep the new view as another one.
+the window's own, so that the user can look around from any keyframe and keep the new view as another one.
 """
 
 from __future__ import annotations
@@ -14,17 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from app.jobs.film.film_job import FilmJob, FilmRequest, too_large
-from app.model.film.timeline import (
-    APART,
-    Moment,
-    Played,
-    Timeline,
-    exploding,
-    moment,
-    played,
-    sweeping,
-    turning,
-)
+from app.model.film.timeline import APART, Played, SceneKeyframe, Timeline, exploding, played, sweeping, turning
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
 from app.translation import _, ngettext
@@ -34,7 +24,7 @@ from engine.scene.plane import Plane
 __all__ = ["PRESETS", "FilmController"]
 
 STEP = 2.0
-"""Seconds between the last moment and one added after it: slow enough for the eye to follow any change."""
+"""Seconds between the last keyframe and one added after it: slow enough for the eye to follow any change."""
 
 SECONDS = 6.0
 """Length of a film that is made at a click, the same as on the command line."""
@@ -52,7 +42,7 @@ class FilmController:
         """Position of the playhead, seconds."""
         self.playing = False
         self.selected: int | None = None
-        """Index of the moment that is selected."""
+        """Index of the keyframe that is selected."""
         self.job: FilmJob | None = None
         """The film that is being saved, in the background."""
         self._history = workspace.history
@@ -73,8 +63,8 @@ class FilmController:
 
     @property
     def ready(self) -> bool:
-        """Whether there is a film: a solid and at least two moments."""
-        return self.available and len(self.workspace.timeline.moments) > 1
+        """Whether there is a film: a solid and at least two keyframes."""
+        return self.available and len(self.workspace.timeline.keyframes) > 1
 
     @property
     def shown(self) -> bool:
@@ -124,16 +114,16 @@ class FilmController:
     # Edits
 
     def add(self) -> None:
-        """Keeps what is shown as a moment: at the playhead or, if one is there already, some seconds after the last."""
+        """Keeps what is shown as a keyframe: at the playhead or, if one is there, some seconds after the last."""
         film = self.workspace.timeline
-        if not film.moments:
+        if not film.keyframes:
             self.time = 0.0
         elif film.at(self.time) is not None:
             self.time = film.seconds + STEP
-        new = film.with_moment(self._now(self.time))
+        new = film.with_keyframe(self._now(self.time))
         self._change(_("Add keyframe"), new)
         self.selected = new.at(self.time)
-        count = len(new.moments)
+        count = len(new.keyframes)
         self.workspace.notify(
             _("Kept. Change the view or the planes, then add the next keyframe.")
             if count == 1
@@ -141,26 +131,26 @@ class FilmController:
         )
 
     def update(self) -> None:
-        """Replaces the selected moment with what is shown."""
+        """Replaces the selected keyframe with what is shown."""
         film, index = self.workspace.timeline, self._chosen()
         if index is not None:
-            self._change(_("Change keyframe"), film.with_moment(self._now(film.moments[index].time)))
+            self._change(_("Change keyframe"), film.with_keyframe(self._now(film.keyframes[index].time)))
 
     def remove(self) -> None:
-        """Removes the selected moment."""
+        """Removes the selected keyframe."""
         index = self._chosen()
         if index is not None:
             self._change(_("Remove keyframe"), self.workspace.timeline.without(index))
             self.selected = None
 
     def clear(self) -> None:
-        """Removes all moments."""
+        """Removes all keyframes."""
         self.leave()
         self._change(_("Remove the film"), Timeline())
         self.time, self.selected = 0.0, None
 
     def move(self, index: int, to: float) -> None:
-        """Moves a moment to another time; one drag is one step of undo."""
+        """Moves a keyframe to another time; one drag is one step of undo."""
         self._change(_("Move keyframe"), self.workspace.timeline.moved(index, to), merge=f"keyframe {index}")
 
     def preset(self, name: str) -> None:
@@ -190,14 +180,14 @@ class FilmController:
         is_section = chosen is not None and chosen.kind == "section"
         return chosen.id if chosen is not None and is_section else workspace.document.next_id, plane
 
-    def _now(self, at: float) -> Moment:
-        """What the viewport shows, as a moment."""
-        return moment(at, self.workspace.viewing.eye, self.workspace.drawn_documents)
+    def _now(self, at: float) -> SceneKeyframe:
+        """What the viewport shows, as a keyframe."""
+        return SceneKeyframe.of(at, self.workspace.viewing.eye, self.workspace.drawn_documents)
 
     def _chosen(self) -> int | None:
-        """Index of the selected moment, if it still exists."""
+        """Index of the selected keyframe, if it still exists."""
         selected = self.selected
-        return selected if selected is not None and selected < len(self.workspace.timeline.moments) else None
+        return selected if selected is not None and selected < len(self.workspace.timeline.keyframes) else None
 
     def _change(self, name: str, film: Timeline, merge: str = "") -> None:
         self.workspace.change_film(name, film, merge)
@@ -216,8 +206,8 @@ class FilmController:
         workspace.previewed, self._documents = (workspace.documents, documents), documents
 
     def step(self, way: int) -> None:
-        """Shows the next moment, or the previous one if `way` is -1."""
-        times = [one.time for one in self.workspace.timeline.moments]
+        """Shows the next keyframe, or the previous one if `way` is -1."""
+        times = [one.time for one in self.workspace.timeline.keyframes]
         later = [t for t in times if (t - self.time) * way > APART / 2]
         if later:
             self.playing = False
@@ -257,7 +247,7 @@ class FilmController:
         if workspace.history is not self._history:
             self._history, self.time, self.selected = workspace.history, 0.0, None
             self.leave()
-        elif self._documents is not None and (not self.shown or not self.available or not workspace.timeline.moments):
+        elif self._documents is not None and (not self.shown or not self.available or not workspace.timeline.keyframes):
             self.leave()
         elif self.playing:
             now = self.clock()
@@ -266,13 +256,13 @@ class FilmController:
             if to >= end and not (self._closed and end > 0):
                 self.playing, to = False, end
             self.seek(to % end if to > end else to)
-        elif self.shown and self._for[0] is not workspace.timeline:  # one of its moments has changed
+        elif self.shown and self._for[0] is not workspace.timeline:  # one of its keyframes has changed
             self.seek(self.time)
 
     def _motion(self) -> Played | None:
         """The motion of the film; None if there is none."""
         workspace = self.workspace
-        if not self.available or not workspace.timeline.moments:
+        if not self.available or not workspace.timeline.keyframes:
             return None
         solids = {document.number: workspace.solid_of(document) for document in workspace.documents}
         made_for = (workspace.timeline, workspace.documents, *map(id, solids.values()))

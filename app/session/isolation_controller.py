@@ -1,6 +1,6 @@
-"""Isolates the object in a session: marks parts of the capture, keeps or removes them, and proposes what to remove.
+"""Isolates the object in a session: selects parts of the capture, keeps or removes them, and proposes what to remove.
 
-Finding the marked Gaussians may take a second in a large capture, so it happens in a thread of its own.
+Finding the selected Gaussians may take a second in a large capture, so it happens in a thread of its own.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class IsolationController:
         self.how: How = "replace"
         """What the next shape does, unless a key says otherwise."""
         self.tint: Vec3 = (1.0, 0.42, 0.29)
-        """RGB that tints what is marked; the window sets it to the theme's accent. Range [0, 1]."""
+        """RGB that tints what is selected; the window sets it to the theme's accent. Range [0, 1]."""
         self._thread = ThreadPoolExecutor(1, "isolate")
         self._view: Future[CaptureView] | None = None
         self._proposals: Future[tuple[Proposal, ...]] | None = None
@@ -97,7 +97,7 @@ class IsolationController:
         document, shown = workspace.document, workspace.object
         if view is None or shown is None or shown.capture is None:
             return None
-        current = view.is_for(shown.capture, document.isolation, document.marked, self.tint, self._beside)
+        current = view.is_for(shown.capture, document.isolation, document.selection, self.tint, self._beside)
         return view if current else None
 
     @property
@@ -119,26 +119,26 @@ class IsolationController:
         assert self._proposals is not None
         return self._proposals.result() if self._proposals.done() else None
 
-    # Marking
+    # Selecting
 
     @property
     def last_box(self) -> Box | None:
-        """The box that was marked last, while the isolate tool is in use; None if the last step was not a box."""
+        """The box that was drawn last, while the isolate tool is in use; None if the last step was not a box."""
         workspace = self.workspace
-        steps = workspace.document.marked
+        steps = workspace.document.selection
         if workspace.tool != "isolate" or workspace.mode != "capture" or not steps:
             return None
         shape = steps[-1].shape
         return shape if isinstance(shape, Box) else None
 
     def reshape(self, box: Box) -> None:
-        """Replaces the box that was marked last."""
-        steps = self.workspace.document.marked
+        """Replaces the box that was drawn last."""
+        steps = self.workspace.document.selection
         changed = (*steps[:-1], replace(steps[-1], shape=box))
-        self.workspace.change(_("Change the box"), replace(self.workspace.document, marked=changed), merge="box")
+        self.workspace.change(_("Change the box"), replace(self.workspace.document, selection=changed), merge="box")
 
-    def mark(self, camera: Camera, path: Sequence[Point], how: How) -> None:
-        """Marks the shape that a drag along `path`, in pixels of the camera's picture, describes."""
+    def select(self, camera: Camera, path: Sequence[Point], how: How) -> None:
+        """Selects what is in the shape that a drag along `path`, in pixels of the camera's picture, describes."""
         view = self.workspace.capture_view
         if view is None:
             return
@@ -149,75 +149,75 @@ class IsolationController:
             self.workspace.notify(_("Drag over the part that you mean."))
             return
         step = Step("subtract" if how == "subtract" else "add", shape)
-        before = () if how == "replace" else self.workspace.document.marked
+        before = () if how == "replace" else self.workspace.document.selection
         if how == "subtract" and not before:
             self.workspace.notify(_("Nothing is selected yet that could be taken away."))
             return
-        self._mark(
+        self._select(
             {"replace": _("Select"), "add": _("Select more"), "subtract": _("Select less")}[how],
             (*before, step),
         )
 
     def propose(self, proposal: Proposal) -> None:
-        """Marks what a proposal would remove."""
-        self._mark(_("Select {name}").format(name=proposal.name.lower()), proposal.selection)
+        """Selects what a proposal would remove."""
+        self._select(_("Select {name}").format(name=proposal.name.lower()), proposal.selection)
 
     def invert(self) -> None:
-        """Marks exactly what is not marked."""
-        self._mark(_("Invert selection"), (*self.workspace.document.marked, INVERT))
+        """Selects exactly what is not selected."""
+        self._select(_("Invert selection"), (*self.workspace.document.selection, INVERT))
 
     def grow(self) -> None:
-        """Also marks what touches the marked parts."""
-        if self.workspace.document.marked:
-            self._mark(_("Grow selection"), (*self.workspace.document.marked, Step("grow")))
+        """Also selects what touches the selected parts."""
+        if self.workspace.document.selection:
+            self._select(_("Grow selection"), (*self.workspace.document.selection, Step("grow")))
 
     def clear(self) -> None:
-        """Marks nothing."""
-        self._mark(_("Select nothing"), ())
+        """Selects nothing."""
+        self._select(_("Select nothing"), ())
 
-    def _mark(self, name: str, steps: Selection) -> None:
+    def _select(self, name: str, steps: Selection) -> None:
         if len(steps) > MOST_STEPS:
             self.workspace.notify(_("This selection has too many steps. Keep or remove it, or clear it."))
             return
-        self.workspace.change(name, replace(self.workspace.document, marked=steps))
+        self.workspace.change(name, replace(self.workspace.document, selection=steps))
 
     # Isolating
 
-    def keep_marked(self) -> None:
-        """Removes everything but what is marked."""
-        self._isolate(_("Keep only this"), (*self.workspace.document.marked, INVERT))
+    def keep_selected(self) -> None:
+        """Removes everything but what is selected."""
+        self._isolate(_("Keep only this"), (*self.workspace.document.selection, INVERT))
 
-    def remove_marked(self) -> None:
-        """Removes what is marked."""
-        self._isolate(_("Remove"), self.workspace.document.marked)
+    def remove_selected(self) -> None:
+        """Removes what is selected."""
+        self._isolate(_("Remove"), self.workspace.document.selection)
 
     def remove_proposal(self, proposal: Proposal) -> None:
-        """Removes what was proposed, regardless of what is marked."""
+        """Removes what was proposed, regardless of what is selected."""
         document = self.workspace.document
-        changed = replace(document, isolation=(*document.isolation, proposal.selection), marked=())
+        changed = replace(document, isolation=(*document.isolation, proposal.selection), selection=())
         self.workspace.change(_("Remove {name}").format(name=proposal.name.lower()), changed)
         self.workspace.notify(REMOVED)
 
     def restore(self) -> None:
         """Brings back all of the capture, as one object with the cuts and settings of the active one."""
         document = self.workspace.document
-        whole = replace(document, isolation=(), marked=(), number=0, name="", visible=True)
+        whole = replace(document, isolation=(), selection=(), number=0, name="", visible=True)
         self.workspace.change_all(_("Bring everything back"), (whole,))
 
     def _isolate(self, name: str, selection: Selection) -> None:
         workspace, document = self.workspace, self.workspace.document
         if self._can_isolate(document):
-            workspace.change(name, replace(document, isolation=(*document.isolation, selection), marked=()))
+            workspace.change(name, replace(document, isolation=(*document.isolation, selection), selection=()))
             workspace.notify(REMOVED)
 
     def _can_isolate(self, document: Document) -> bool:
-        """Whether some, but not all, of what is left is marked; tells the user why if not."""
+        """Whether some, but not all, of what is left is selected; tells the user why if not."""
         workspace, view = self.workspace, self.view
         if view is None:
             workspace.notify(_("One moment: what is selected is still being found."))
-        elif not view.marked.any():
+        elif not view.selected.any():
             workspace.notify(_("Nothing is selected. Drag over the part that you mean."))
-        elif view.marked.all():
+        elif view.selected.all():
             workspace.notify(_("Everything is selected. Select a part of it."))
         elif len(document.isolation) >= MOST_STEPS:
             workspace.notify(_("Too much was removed step by step. Bring everything back and keep the object alone."))
@@ -231,11 +231,11 @@ class IsolationController:
         """Makes each separate body of the active object an object of its own."""
         self._asked = True
 
-    def split_marked(self) -> None:
-        """Makes what is marked an object of its own."""
+    def split_selected(self) -> None:
+        """Makes what is selected an object of its own."""
         document = self.workspace.document
         if self._can_isolate(document):
-            self._split(_("Split off"), document, (document.marked, (*document.marked, INVERT)))
+            self._split(_("Split off"), document, (document.selection, (*document.selection, INVERT)))
 
     def _split(self, name: str, document: Document, removed: tuple[Selection, ...]) -> None:
         """Replaces an object by several with its settings, each without one of the selections `removed`."""
@@ -248,7 +248,7 @@ class IsolationController:
             out = document.training.out
             out = None if out is None else out.with_name(f"{out.name}-{number}")
             isolation, training = (*document.isolation, selection), replace(document.training, out=out)
-            new.append(replace(document, isolation=isolation, marked=(), number=number, name="", training=training))
+            new.append(replace(document, isolation=isolation, selection=(), number=number, name="", training=training))
             if document.number in workspace.loaded:  # its capture is shown until it is solid
                 loaded = workspace.loaded[document.number]
                 workspace.loaded[number] = replace(loaded, atoms=None, trained=False)
@@ -310,10 +310,10 @@ class IsolationController:
             return
         document, beside = workspace.document, self._beside
         isolation = document.isolation if self.available else ()
-        marked = document.marked if self.available else ()
+        selected = document.selection if self.available else ()
         before = workspace.capture_view
-        if before is None or not before.is_for(shown.capture, isolation, marked, self.tint, beside):
-            self._view = self._thread.submit(view_of, shown.capture, isolation, marked, self.tint, before, beside)
+        if before is None or not before.is_for(shown.capture, isolation, selected, self.tint, beside):
+            self._view = self._thread.submit(view_of, shown.capture, isolation, selected, self.tint, before, beside)
         self._tell_bodies_apart(document)
 
 

@@ -31,7 +31,7 @@ AUTOSAVE_RETRY = 60.0
 @dataclass
 class Session(Workspace):
     """The workspace with its controllers: `scene` loads, `isolation` edits which part of it is the object, `training`
-    trains, `faces` finds the faces in pictures, `film` keeps and plays moments, `throw` is a game, `keyboard` acts
+    trains, `faces` finds the faces in pictures, `film` keeps and plays keyframes, `throw` is a game, `keyboard` acts
     without a pointer, `files` opens, saves and closes."""
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ from app.model.document import Cut, Document, Key, Part, Placement
 from app.model.film.timeline import Timeline
 from app.model.history import History
 from app.model.knife import Outcome, Stroke, slice_object
-from app.model.pieces import Member, PlacedPiece, Solid, pieces, sections, shown_points
+from app.model.pieces import Member, PlacedPiece, PointSample, pieces, sections, shown_points
 from app.model.project import Project, Viewing, Work
 from app.model.rigid_transform import Motion, Vec3, vec3
 from app.model.upright import face_normal, turn_between
@@ -39,7 +39,7 @@ __all__ = ["TOOLS", "Documents", "Tool", "Workspace"]
 Tool = Literal["select", "knife", "blade", "plane", "move", "turn", "upright", "isolate"]
 TOOLS: tuple[Tool, ...] = get_args(Tool)
 
-EMPTY = Solid.of(np.zeros((0, 3)))
+EMPTY = PointSample.of(np.zeros((0, 3)))
 
 Documents = tuple[Document, ...]
 """The documents of a scene's objects, at least one. Their numbers differ."""
@@ -78,9 +78,10 @@ class Workspace(Messages):
     autosave: Autosave = field(default_factory=Autosave)
     folder: Path = field(default_factory=Path.home)
     """The user's current folder, where dialogs begin."""
-    _pieces: dict[tuple[int, bool], tuple[Document, Solid, list[PlacedPiece]]] = field(default_factory=dict, repr=False)
-    """The document, solid and pieces found for them, by the object's number and whether the document is the real one or
-    previewed."""
+    _pieces: dict[tuple[int, bool], tuple[Document, PointSample, list[PlacedPiece]]] = field(
+        default_factory=dict, repr=False
+    )
+    """Document, solid and the pieces found for them, by the object's number and whether the document is real."""
 
     # Derived state
 
@@ -128,11 +129,11 @@ class Workspace(Messages):
             self.loaded[self.document.number] = loaded
 
     @property
-    def solid(self) -> Solid:
+    def solid(self) -> PointSample:
         """The points of the active object, none before it is loaded."""
         return self.solid_of(self.document)
 
-    def solid_of(self, document: Document) -> Solid:
+    def solid_of(self, document: Document) -> PointSample:
         """The points of an object, none before it is loaded."""
         loaded = self.loaded.get(document.number)
         return loaded.solid if loaded is not None and loaded.solid is not None else EMPTY
@@ -445,5 +446,5 @@ class Workspace(Messages):
         ]
         if self.mode == "capture":
             parts = [loaded.extent for d in seen if (loaded := self.loaded.get(d.number)) is not None]
-        box = Solid.of(np.concatenate(parts)) if sum(len(part) for part in parts) else self.solid
+        box = PointSample.of(np.concatenate(parts)) if sum(len(part) for part in parts) else self.solid
         self.viewing = replace(self.viewing, eye=self.viewing.eye.fitted(vec3(box.centre), box.radius, aspect))

@@ -99,8 +99,8 @@ class Menus:
         def selected() -> bool:
             return bool(s.selection)
 
-        def marked() -> bool:
-            return s.tool == "isolate" and bool(s.document.marked)
+        def in_capture() -> bool:
+            return s.tool == "isolate" and bool(s.document.selection)
 
         def can_start() -> bool:
             return s.object is not None and not s.object.trained and not training.busy
@@ -169,8 +169,8 @@ class Menus:
             Command("Edit", _("Select all"), self._select_all, "Ctrl+A", Ctrl | Key.a, opened, separated=True),
             Command("Edit", _("Name piece"), self._name_piece, "F2", Key.f2, selected),
             Command("Edit", _("Hide"), s.hide, "H", Key.h, lambda: selected() or s.object_selected),
-            Command("Edit", _("Delete"), s.delete, "Del", Key.delete, lambda: selected() and not marked()),
-            Command("Edit", _("Remove from the capture"), s.isolation.remove_marked, "Del", Key.delete, marked),
+            Command("Edit", _("Delete"), s.delete, "Del", Key.delete, lambda: selected() and not in_capture()),
+            Command("Edit", _("Remove from the capture"), s.isolation.remove_selected, "Del", Key.delete, in_capture),
             Command("Edit", _("Find separate objects"), s.isolation.find_objects, enabled=separable),
             *tools,
             Command("Cut", _("Add plane"), s.add_plane, "", 0, opened),

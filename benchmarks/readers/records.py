@@ -20,7 +20,7 @@ from safetensors.numpy import save as safetensors_bytes
 from app.jobs.live_colours import LiveColours
 from app.jobs.training_job import Job, note_path
 from app.model.document import Document, Part, Training
-from app.model.pieces import Solid, pieces
+from app.model.pieces import PointSample, pieces
 from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, save_project
 from app.model.settings import load_settings
 from benchmarks.readers.inputs import CHANGES, documents, places, poisoned
@@ -94,7 +94,7 @@ def nested(value: Any, depth: int) -> Any:
 
 # projects: a loaded project can be worked with, saved and loaded again
 
-BOX = Solid.of(np.stack(np.meshgrid(*[np.linspace(-1, 1, 6)] * 3), -1).reshape(-1, 3))
+BOX = PointSample.of(np.stack(np.meshgrid(*[np.linspace(-1, 1, 6)] * 3), -1).reshape(-1, 3))
 
 
 def check_meant_project(record: Any, folder: Path) -> bool:

@@ -26,8 +26,8 @@ from engine.render.cpu import opaque
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.software import SoftwareMode
 from engine.render.culling.draw_options import DrawOptions
+from engine.render.culling.drawable import Drawable
 from engine.render.culling.groups import group_pieces
-from engine.render.culling.solid import Solid
 from engine.render.face_detail import Detailed, detailed
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, fit_distance, orbit
@@ -62,7 +62,7 @@ def kinds_of_frames(atoms: Atoms, inside: Inside, up: np.ndarray) -> dict[str, F
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 12**0.5
     plane = Plane.through(centre, up + TILT)
     piece = Piece((plane,))
-    field, solid, software = KernelField(atoms), Solid(atoms), SoftwareMode()
+    field, solid, software = KernelField(atoms), Drawable(atoms), SoftwareMode()
     tensors = trainable(atoms)
     outer = torch.rand(SIZE[1], SIZE[0], 3, generator=torch.Generator().manual_seed(1))
     options = DrawOptions(interior_only=False, light=True, exact=False, level=0, cull=True)

@@ -13,6 +13,7 @@ from engine.errors import InputError
 from engine.export.body import body_of, skin_outside
 from engine.export.colours import Colours
 from engine.export.particles import particles_of, save_particles
+from engine.export.units import MILLIMETRES
 from engine.export.voxels import voxels_of
 from engine.io.trained import Meta, provenance
 from engine.io.writers.provenance import Provenance
@@ -159,7 +160,7 @@ def write_volume(export: Export) -> str:
     files = save_volume(export.out, voxels, export.meta.up, export.metres)
     kinds = [KIND_NAMES[n] for n in np.unique(voxels.kind)]
     x, y, z = voxels.grid.shape
-    edge = f"{voxels.grid.cell * export.metres * 1000:.4g} mm"
+    edge = f"{voxels.grid.cell * export.metres * MILLIMETRES:.4g} mm"
     return f"{x} x {y} x {z} voxels of {edge}{beside(files)}; labels {', '.join(kinds)}"
 
 

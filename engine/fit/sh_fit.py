@@ -19,6 +19,7 @@ from engine.scene import sh
 from engine.scene.atoms import Atoms, SurfaceAtoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
+from engine.scene.image import decibels
 from engine.threads import for_each
 
 __all__ = ["ShFit", "SurfaceView", "fit_sh", "surface_views", "views_after"]
@@ -129,10 +130,10 @@ def fit_sh(atoms: Atoms, views: Sequence[SurfaceView], progress: Callable[[float
     trials, figures = [], []
     for degree in range(highest + 1):
         trials.append(conjugate_gradients(training, atoms, start[:, : (degree + 1) ** 2], TRIAL_STEPS))
-        figures.append(psnr(mean_squared_error(held_out, atoms, trials[-1])))
+        figures.append(decibels(mean_squared_error(held_out, atoms, trials[-1])))
         progress(0.7 * (degree + 1) / (highest + 1))
     degree = next(d for d, figure in enumerate(figures) if figure >= max(figures) - WORTH_DB)
-    before = psnr(mean_squared_error(held_out, atoms, atoms.surface.sh))
+    before = decibels(mean_squared_error(held_out, atoms, atoms.surface.sh))
     if before >= figures[degree]:  # an opaque scan already has its best colours
         progress(1.0)
         return ShFit(atoms, atoms.surface.sh_degree, (before, before))
@@ -215,8 +216,3 @@ def mean_squared_error(views: Sequence[SurfaceView], atoms: Atoms, coefficients:
         total += float(np.sum(difference.astype(np.float64) ** 2))
         count += difference.size
     return total / max(count, 1)
-
-
-def psnr(mse: float) -> float:
-    """PSNR in dB of a mean squared error, for a range of 1."""
-    return float("inf") if mse <= 0 else -10 * float(np.log10(mse))

@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from engine.isolate.floor import BAND, best_plane, sample_skin
+from engine.scene.camera import spread_directions
 from engine.scene.gaussians import Gaussians
 from engine.scene.rotations import normalised_quats, rotation_matrices
 from engine.solid.denoise_capture import HAZE_OPACITY
@@ -114,7 +115,7 @@ class _Around:
         far = np.linalg.norm(away, axis=2)
         far = np.maximum(far, 1e-9 * float(far.max()) + 1e-30)
         cells = np.empty(far.size, np.int64)
-        for_spans(_nearest_directions, far.size, (away / far[..., None]).reshape(-1, 3), _directions(), cells)
+        for_spans(_nearest_directions, far.size, (away / far[..., None]).reshape(-1, 3), directions_of_view(), cells)
         octaves = np.log2(far)
         self.first = float(np.percentile(octaves[0], 100 * LEAST))
         step = np.maximum(np.floor((octaves - self.first) * STEPS) + 1, 0).astype(np.int64)
@@ -172,13 +173,10 @@ def _discs(gaussians: Gaussians) -> tuple[Double, Double]:
     return points, math.pi * REACH**2 * wide[:, 0] * wide[:, 1] * gaussians.opacities
 
 
-def _directions() -> Double:
-    """(DIRECTIONS, 3). Unit vectors spread evenly over the sphere: a Fibonacci lattice."""
-    k = np.arange(DIRECTIONS) + 0.5
-    z = 1 - 2 * k / DIRECTIONS
-    angle = math.pi * (1 + math.sqrt(5)) * k
-    flat = np.sqrt(1 - z * z)
-    return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], 1)
+def directions_of_view() -> Double:
+    """(DIRECTIONS, 3). Unit vectors spread evenly over the sphere, by falling z. Mirrored: the spiral turns the way for
+    which the constants above were found."""
+    return spread_directions(DIRECTIONS, 0.5) * (1, -1, 1)
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""Cameras: pinhole, and orthographic for views straight onto a cut plane.
+"""Cameras: pinhole, and orthographic for views straight onto a cut plane; directions all around an object.
 
 OpenCV axes: x right, y down, z forward.
 
@@ -25,10 +25,14 @@ __all__ = [
     "orbit",
     "plane_points",
     "section",
+    "spread_directions",
 ]
 
 SECTION_WIDTH = 1.02
 """Width of the picture of `section`, in diameters of what it is asked to show."""
+
+GOLDEN_TURN = 3.0 - math.sqrt(5.0)
+"""The golden angle in half turns: points that far apart around a spiral are spread most evenly."""
 
 
 @dataclass(frozen=True)
@@ -199,15 +203,27 @@ def cameras_around(
     size: int,
     turn: float = 0.0,
 ) -> list[Camera]:
-    """`count` cameras spread evenly over a sphere (a Fibonacci spiral); the object fills size x size pixels.
+    """`count` cameras in the `spread_directions` from the centre, z along up; the object fills size x size pixels.
 
     `turn` in degrees rotates the whole spiral, so that two sets of views share no camera.
     """
     fov = math.radians(35.0)
     distance = fit_distance(radius, fov, 1.0)
-    golden = math.degrees(math.pi * (3.0 - math.sqrt(5.0)))
+    golden = math.degrees(math.pi * GOLDEN_TURN)
     cameras = []
-    for index in range(count):
-        elevation = math.degrees(math.asin(1.0 - 2.0 * (index + 0.5) / count))
+    for index, height in enumerate(spread_directions(count)[:, 2]):
+        elevation = math.degrees(math.asin(height))
         cameras.append(orbit(centre, up, turn + golden * index, elevation, distance, size, size, fov))
     return cameras
+
+
+def spread_directions(count: int, start: float = 0.0) -> NDArray[np.float64]:
+    """(count, 3). Unit vectors spread evenly over the sphere along Fibonacci's spiral, by falling z in even steps.
+
+    `start` rotates the spiral about z, in golden angles; with 0, the first vector has y = 0.
+    """
+    index = np.arange(count)
+    z = 1 - (2 * index + 1) / count
+    angle = (index + start) * math.pi * GOLDEN_TURN
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)

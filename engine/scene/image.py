@@ -1,4 +1,4 @@
-"""The result of a renderer, and colours in 8 bits."""
+"""The result of a renderer, colours in 8 bits, and how close two pictures are."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Picture", "to_8bit"]
+__all__ = ["Picture", "decibels", "psnr", "to_8bit"]
 
 
 @dataclass(frozen=True)
@@ -37,3 +37,14 @@ class Picture:
 def to_8bit(values: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Values of range [0, 1], clamped and rounded to bytes."""
     return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def psnr(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
+    """Peak signal-to-noise ratio in dB of two arrays of one shape, for a range of 1; infinite where they are equal."""
+    assert a.shape == b.shape, (a.shape, b.shape)
+    return decibels(float(np.mean((a.astype(np.float64) - b) ** 2)))
+
+
+def decibels(error: float) -> float:
+    """Peak signal-to-noise ratio in dB of a mean squared error, for a range of 1."""
+    return float("inf") if error <= 0 else -10 * float(np.log10(error))

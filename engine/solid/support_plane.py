@@ -1,4 +1,9 @@
-"""Finds the table, mat or ground that an object stands on."""
+"""Finds the table, mat or ground that an object stands on, as evidence of which way is up.
+
+`engine.isolate.floor` finds it in order to cut it off: it looks at Gaussians, by their area and opacity, and not at
+points spread evenly over the skin, asks for a free edge around the object's foot and not for an overhang, and puts the
+plane on top of the floor and not through its middle.
+"""
 
 from __future__ import annotations
 

@@ -9,10 +9,10 @@ from sample_scenes.solids.bread import bread
 from sample_scenes.solids.cake import cake
 from sample_scenes.solids.orange import orange
 from sample_scenes.solids.pomegranate import pomegranate
-from sample_scenes.solids.solid import Solid, directions
+from sample_scenes.solids.solid import Solid
 from sample_scenes.solids.watermelon import watermelon
 
-__all__ = ["SOLIDS", "Solid", "apple", "bread", "cake", "directions", "orange", "pomegranate", "watermelon"]
+__all__ = ["SOLIDS", "Solid", "apple", "bread", "cake", "orange", "pomegranate", "watermelon"]
 
 SOLIDS: dict[str, Callable[[int], Solid]] = {
     "watermelon": watermelon,

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.scene.camera import Camera, section
+from engine.scene.camera import Camera, section, spread_directions
 from engine.scene.plane import Plane
 from training.families import Kind
 
-__all__ = ["Solid", "directions"]
+__all__ = ["Solid"]
 
 Field = Callable[[NDArray[np.float64]], NDArray[np.float32]]
 
@@ -40,7 +40,7 @@ class Solid:
     def of(name: str, families: tuple[Kind, ...], skin_depth: Field, skin_colour: Field) -> Solid:
         """A solid whose bounds are measured on its skin, in 8192 directions from the origin."""
         solid = Solid(name, families, skin_depth, skin_colour, np.zeros((2, 3)))
-        points = solid.skin_points(directions(8192))
+        points = solid.skin_points(spread_directions(8192))
         return Solid(name, families, skin_depth, skin_colour, np.stack([points.min(0), points.max(0)]))
 
     def depth(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -141,11 +141,3 @@ def _hits(
     if not camera.orthographic:
         seen &= depth > camera.near
     return origins + depth[:, None] * rays, seen
-
-
-def directions(count: int) -> NDArray[np.float64]:
-    """(count, 3). Unit vectors spread evenly over the sphere, on a golden-angle spiral."""
-    z = 1 - (2 * np.arange(count) + 1) / count
-    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1)

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from engine.scene.camera import spread_directions
 from sample_scenes.solids.noise import cells, fbm, mix, noise, step, store
 from sample_scenes.solids.shapes import (
     ItemGrid,
@@ -20,7 +21,7 @@ from sample_scenes.solids.shapes import (
     round_depths,
     round_shape,
 )
-from sample_scenes.solids.solid import Solid, directions
+from sample_scenes.solids.solid import Solid
 
 __all__ = ["watermelon"]
 
@@ -51,7 +52,7 @@ def watermelon(seed: int = 0) -> Solid:
 
 def _seeds(shape: NDArray[np.float64], rng: np.random.Generator) -> ItemGrid:
     """Seeds in a thick layer at six to eight tenths of the radius, tips to the axis, none near the poles."""
-    pool = directions(8000)
+    pool = spread_directions(8000)
     rng.shuffle(pool)
     centres: list[NDArray[np.float64]] = []
     for u in pool:

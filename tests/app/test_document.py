@@ -15,7 +15,7 @@ from app.model.camera_control import OrbitCamera, project_points
 from app.model.document import WHOLE, Document, Key, Part, Placement
 from app.model.history import History
 from app.model.knife import PlaneAngles, Stroke, blade_of, plane_of, plane_through, slice_evenly, slice_object
-from app.model.pieces import Solid, pieces, sections, shown_points, visible_pieces
+from app.model.pieces import PointSample, pieces, sections, shown_points, visible_pieces
 from app.model.project import Project, Viewing, load_project, save_project
 from app.model.rigid_transform import STILL, Motion
 from engine.errors import InputError
@@ -24,9 +24,9 @@ from engine.scene.plane import Plane
 UP = (0.0, 0.0, 1.0)
 
 
-def ball(count: int = 3000) -> Solid:
+def ball(count: int = 3000) -> PointSample:
     points = np.random.default_rng(1).uniform(-1, 1, (2 * count, 3))
-    return Solid.of(points[np.linalg.norm(points, axis=1) < 1])
+    return PointSample.of(points[np.linalg.norm(points, axis=1) < 1])
 
 
 BALL = ball()

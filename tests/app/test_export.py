@@ -25,7 +25,7 @@ from app.jobs.export import (
 )
 from app.model.document import WHOLE, Document, Part
 from app.model.measure.units import Unit
-from app.model.pieces import Cell, PlacedPiece, Solid, pieces
+from app.model.pieces import Cell, PlacedPiece, PointSample, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError
 from engine.export.colours import Colours
@@ -44,7 +44,7 @@ from tests.helpers.solids import ball
 def test_exported_pieces_add_up_to_the_object_and_open_again(tmp_path: Path) -> None:
     solid = atoms()
     document = replace(Document().with_cut((Part(Plane.of((1, 1, 0), 0.1)),)), gap=0.0)
-    parts = pieces(document, Solid.of_atoms(solid))
+    parts = pieces(document, PointSample.of_atoms(solid))
     assert sum(len(piece_gaussians(solid, part.drawn())) for part in parts) == len(solid)
     count = save_pieces(tmp_path / "all.ply", [(solid, part) for part in parts])
     again, _ = read_ply(tmp_path / "all.ply")
@@ -58,7 +58,7 @@ def test_meshes_lie_where_the_pieces_lie(tmp_path: Path) -> None:
     pytest.importorskip("manifold3d", reason="the export extra is not installed")
     solid = ball(1 / 8)
     document = replace(Document().with_cut((Part(Plane.of((1, 1, 0), 0.1)),)), gap=0.5)
-    parts = pieces(document, Solid.of_atoms(solid))
+    parts = pieces(document, PointSample.of_atoms(solid))
     path = tmp_path / "all.glb"
     save_meshes(path, parts, Colours(solid, None), (0, 1, 0), 2.0, lambda: False)
     assert not path.exists()
@@ -148,7 +148,7 @@ def test_a_cut_face_fills_its_picture_with_a_scale_below() -> None:
     """An ellipsoid away from the centre: the face is an ellipse of known axes, and the scale is as long as it says."""
     axes = np.array([1.0, 0.6, 0.8])
     points = np.random.default_rng(0).normal(size=(4000, 3))
-    solid = Solid.of((points / np.linalg.norm(points, axis=1, keepdims=True)) * axes + 5.0)
+    solid = PointSample.of((points / np.linalg.norm(points, axis=1, keepdims=True)) * axes + 5.0)
     plane = Plane((0.0, 0.0, 1.0), -5.4)  # halfway up: the face has sqrt(3)/2 of the axes
 
     def draw(camera: Camera, drawn: Sequence[Piece]) -> NDArray[np.uint8]:

@@ -23,7 +23,7 @@ from app.model.document import Document
 from app.model.faces.edit import BrushStroke, drag_point, nearest_point, refine
 from app.model.faces.words import describe_guess
 from app.model.history import History
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.project import Project, Viewing, Work, load_project, save_project
 from app.model.settings import Settings
 from app.session.session import Session
@@ -66,7 +66,7 @@ def session_with(folder: Path, kind: Kind, path: Path) -> Session:
     session.history = History(Work((document,)))
     atoms = ball_of_atoms()
     session.loaded[0] = LoadedObject(
-        SceneRequest(folder / "ball.ply"), atoms=atoms, solid=Solid.of(atoms.interior.means), up=(0.0, 0.0, 1.0)
+        SceneRequest(folder / "ball.ply"), atoms=atoms, solid=PointSample.of(atoms.interior.means), up=(0.0, 0.0, 1.0)
     )
     return session
 

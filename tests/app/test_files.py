@@ -17,7 +17,7 @@ from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.autosave import Autosave, find_unsaved_work
 from app.model.document import Document, Part
 from app.model.history import History
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.project import FORMAT, Outside, Project, Viewing, Work, load_project, save_project
 from app.model.settings import Settings, load_settings, save_settings
 from app.session.project_files import _Opened
@@ -281,7 +281,7 @@ def test_what_cannot_be_read_leaves_what_is_open(tmp_path: Path, monkeypatch: py
     document = Document(scene=tmp_path / "melon.ply")
     session.history = History(Work((document,)))
     session.object = LoadedObject(
-        SceneRequest(tmp_path / "melon.ply"), None, solid, Solid.of_atoms(solid), trained=True
+        SceneRequest(tmp_path / "melon.ply"), None, solid, PointSample.of_atoms(solid), trained=True
     )
     session.change("Cut", document.with_cut((Part(Plane.of((0, 0, 1), 0.0)),)))
     shown, history, path = session.object, session.history, tmp_path / "melon.fruitninja"

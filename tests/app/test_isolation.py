@@ -44,8 +44,8 @@ from engine.scene.sh import sh_to_rgb
 from tests.helpers.app_isolate_steps import MAT, melon_on_a_mat
 from tests.helpers.app_objects import atoms, full
 from tests.helpers.solids import joined, round_gaussians
+from tests.helpers.workers.quick_scene_worker import BODY_CELLS, QUICK, use_quick_worker
 from tests.paths import ROOT
-from tests.quick_scene_worker import BODY_CELLS, QUICK, use_quick_worker
 from training.events import Reporter
 from training.families import Family
 from training.pipeline import prepare
@@ -98,20 +98,20 @@ def test_a_drag_selects_what_is_seen_under_it(orthographic: bool) -> None:
     assert abs((np.array(aside.centre) - camera.position) @ camera.forward - 6) < 1e-6
 
 
-def test_what_is_shown_is_what_is_left_with_the_marked_tinted() -> None:
+def test_what_is_shown_is_what_is_left_with_the_selected_tinted() -> None:
     capture, tint = ball(), (1.0, 0.0, 0.0)
     isolation: Isolation = (keep_only(Box((4, 4, 4), (6, 6, 5))),)
     steps = (Step("add", Sphere((5, 5, 4), 0.5)), Step("grow"), INVERT, Step("subtract", Sphere((5, 5, 4), 0.2)))
     fresh = view_of(capture, isolation, steps[:1], tint)
-    assert len(fresh.left) == int((~removed(capture, isolation)).sum()) and 0 < fresh.marked.sum() < len(fresh.left)
+    assert len(fresh.left) == int((~removed(capture, isolation)).sum()) and 0 < fresh.selected.sum() < len(fresh.left)
     rgb = sh_to_rgb(fresh.shown.sh[:, 0])
-    assert np.allclose(rgb[fresh.marked], (0.85, 0.15, 0.15), atol=1e-6) and np.allclose(rgb[~fresh.marked], 0.5)
+    assert np.allclose(rgb[fresh.selected], (0.85, 0.15, 0.15), atol=1e-6) and np.allclose(rgb[~fresh.selected], 0.5)
     step_by_step = view_of(capture, (), (), tint)
     assert step_by_step.shown is capture
     for count in range(5):
         step_by_step = view_of(capture, isolation, steps[:count], tint, step_by_step)
     whole = view_of(capture, isolation, steps, tint)
-    assert np.array_equal(step_by_step.marked, whole.marked) and whole.is_for(capture, isolation, steps, tint)
+    assert np.array_equal(step_by_step.selected, whole.selected) and whole.is_for(capture, isolation, steps, tint)
 
 
 def test_a_project_of_an_earlier_version_has_one_object(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_a_project_of_an_earlier_version_has_one_object(tmp_path: Path) -> None:
     assert load_project(path).documents == (single,)
     del fields["isolation"], fields["marked"]
     path.write_text(json.dumps(record | fields | {"fruitninja": 1}))
-    assert load_project(path).documents == (replace(single, isolation=(), marked=()),)
+    assert load_project(path).documents == (replace(single, isolation=(), selection=()),)
 
 
 def test_a_result_of_another_part_of_the_capture_is_not_shown(tmp_path: Path) -> None:
@@ -155,16 +155,16 @@ def test_nothing_is_removed_without_a_selection_and_not_everything() -> None:
         session.isolation.tick()
 
     settle()
-    session.isolation.remove_marked()
+    session.isolation.remove_selected()
     assert "Nothing is selected" in session.message
     session.isolation.invert()
-    session.isolation.keep_marked()
+    session.isolation.keep_selected()
     assert "One moment" in session.message
     settle()
-    session.isolation.keep_marked()
+    session.isolation.keep_selected()
     assert "Everything is selected" in session.message and session.document.isolation == ()
     session.undo()
-    assert session.document.marked == ()
+    assert session.document.selection == ()
 
 
 def test_a_scene_that_is_opened_is_shown_without_its_surroundings(

@@ -17,7 +17,7 @@ from app.model.document import Document, Part, Training
 from app.model.film.throw import SECONDS
 from app.model.history import History
 from app.model.knife import Stroke
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.project import Project, Viewing, Work, load_project, save_project
 from app.session.session import Session
 from engine.isolate.bodies import Bodies, find_bodies
@@ -80,7 +80,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     scene = tmp_path / "two.ply"
     made = Session(history=History(Work((Document(scene=scene),))), viewing=Viewing(EYE, "solid"))
-    made.object = LoadedObject(SceneRequest(scene), CAPTURE, None, Solid.of(CAPTURE.means))
+    made.object = LoadedObject(SceneRequest(scene), CAPTURE, None, PointSample.of(CAPTURE.means))
     settle(made)
     return made
 
@@ -90,7 +90,7 @@ def make_solid(session: Session) -> None:
         left = CAPTURE[~removed(CAPTURE, document.isolation)]
         atoms = moved(ball(1 / 12, degree=0), float(left.means[:, 0].mean()))
         request = SceneRequest(Path("two.ply"), isolation=document.isolation)
-        session.loaded[document.number] = LoadedObject(request, CAPTURE, atoms, Solid.of_atoms(atoms))
+        session.loaded[document.number] = LoadedObject(request, CAPTURE, atoms, PointSample.of_atoms(atoms))
         session.activate(index, False)
 
 
@@ -137,7 +137,7 @@ def test_separate_bodies_become_objects_once_and_undo_makes_them_one(session: Se
 
 def test_a_project_that_was_saved_as_one_object_stays_one(session: Session, tmp_path: Path) -> None:
     other = Session(history=History(Work((Document(scene=tmp_path / "two.ply"),))), path=tmp_path / "a.fruitninja")
-    other.object = LoadedObject(SceneRequest(tmp_path / "two.ply"), CAPTURE, None, Solid.of(CAPTURE.means))
+    other.object = LoadedObject(SceneRequest(tmp_path / "two.ply"), CAPTURE, None, PointSample.of(CAPTURE.means))
     settle(other)
     assert len(other.documents) == 1
 
@@ -165,14 +165,14 @@ def test_a_stroke_cuts_the_selected_object_or_all(session: Session) -> None:
     assert not session.documents[0].cuts and "hidden" in session.message
 
 
-def test_what_is_marked_becomes_an_object_of_its_own(session: Session) -> None:
+def test_what_is_selected_becomes_an_object_of_its_own(session: Session) -> None:
     session.activate(0)
     left = CAPTURE[~removed(CAPTURE, session.document.isolation)]
     centre = left.means.mean(0).astype(float)
     lid = Sphere((float(centre[0]), float(centre[1]), float(centre[2]) + 0.5), 0.4)
-    session.change("Select", replace(session.document, marked=(Step("add", lid),), training=Training(seed=3)))
+    session.change("Select", replace(session.document, selection=(Step("add", lid),), training=Training(seed=3)))
     settle(session)
-    session.isolation.split_marked()
+    session.isolation.split_selected()
     assert [document.number for document in session.documents] == [1, 3, 2]
     parts = [~removed(CAPTURE, document.isolation) for document in session.documents]
     assert np.array_equal(sum(part.astype(int) for part in parts), np.ones(len(CAPTURE)))

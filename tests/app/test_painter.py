@@ -18,7 +18,7 @@ from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera, project_points
 from app.model.capture_view import view_of
 from app.model.document import Part
-from app.model.pieces import Solid, pieces
+from app.model.pieces import PointSample, pieces
 from app.model.project import Viewing, ViewMode
 from app.model.settings import Settings
 from app.session.session import Session
@@ -69,7 +69,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     atoms = ball()
     made = Session(settings=Settings(), viewing=Viewing(EYE, "solid"))
-    made.object = LoadedObject(SceneRequest(tmp_path / "ball.ply"), None, atoms, Solid.of_atoms(atoms))
+    made.object = LoadedObject(SceneRequest(tmp_path / "ball.ply"), None, atoms, PointSample.of_atoms(atoms))
     made.geometry_version = 1
     return made
 
@@ -166,7 +166,7 @@ def test_a_capture_is_uploaded_and_drawn_in_slices(
     assert np.array_equal(gradual.rgb, at_once.rgb) and gradual.rgb.max() > 0.1
 
 
-def test_what_is_marked_is_tinted_in_the_window_and_not_in_a_saved_picture(painter: Painter, session: Session) -> None:
+def test_the_selected_is_tinted_in_the_window_but_not_in_a_saved_picture(painter: Painter, session: Session) -> None:
     s, red = ball().surface, (1.0, 0.0, 0.0)
     session.viewing = Viewing(EYE, "capture")
     capture = Gaussians(s.means, s.scales, s.quats, np.full(len(s), 0.9, np.float32), s.sh)

@@ -15,14 +15,14 @@ from app.model.document import Document
 from app.model.film.throw import SECONDS, in_flight, sliced, thrown
 from app.model.history import History
 from app.model.knife import Stroke
-from app.model.pieces import Solid, pieces
+from app.model.pieces import PointSample, pieces
 from app.model.project import Viewing, Work
 from app.session.session import Session
 from tests.helpers.solids import ball
 
 EYE = OrbitCamera(distance=4.0)
 CAMERA = EYE.camera(400, 300, (0.0, 0.0, 1.0))
-SOLID = Solid.of(np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3)))
+SOLID = PointSample.of(np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3)))
 ACROSS = Stroke((20.0, 150.0), (380.0, 150.0))
 
 
@@ -63,7 +63,7 @@ def test_the_game_changes_nothing_unless_it_is_kept(tmp_path: Path, monkeypatch:
     document = Document(scene=Path("melon.ply"))
     session = Session(history=History(Work((document,))), viewing=Viewing(EYE), autosave=Autosave(tmp_path))
     atoms = ball(1 / 8)
-    session.object = LoadedObject(SceneRequest(Path("melon.ply")), atoms=atoms, solid=Solid.of_atoms(atoms))
+    session.object = LoadedObject(SceneRequest(Path("melon.ply")), atoms=atoms, solid=PointSample.of_atoms(atoms))
     clock = 50.0
     session.throw.clock = lambda: clock
     for keep in (False, True):

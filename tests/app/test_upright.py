@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera, project_points
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.project import Project, load_project, save_project
 from app.model.rigid_transform import vec3
 from app.model.upright import face_normal, point_under, turn_between
@@ -36,7 +36,7 @@ def cube(n=3000, noise=0.004):
 def session_with(points) -> Session:
     capture = round_gaussians(points)
     session = Session()
-    session.object = LoadedObject(SceneRequest(Path("cube.ply")), capture, None, Solid.of(capture.means))
+    session.object = LoadedObject(SceneRequest(Path("cube.ply")), capture, None, PointSample.of(capture.means))
     session.fit()
     return session
 

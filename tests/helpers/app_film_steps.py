@@ -31,13 +31,13 @@ def film(driver: Driver, folder: Path) -> None:
     driver.press(Key.l)
     driver.picture(shots / "film_1_empty.png")
     driver.press(Key.n)
-    assert len(session.timeline.moments) == 1 and session.viewing.timeline
+    assert len(session.timeline.keyframes) == 1 and session.viewing.timeline
     driver.drag((0.4, 0.5), (0.7, 0.55), button=1)
     session.change_cut("Move", cut, lambda c: replace(c, shift=-0.5))
     driver.press(Key.n)
-    assert [one.time for one in session.timeline.moments] == [0.0, 2.0]
+    assert [one.time for one in session.timeline.keyframes] == [0.0, 2.0]
     driver.picture(shots / "film_2_two.png")
-    first, last = (one.eye.azimuth for one in session.timeline.moments)
+    first, last = (one.eye.azimuth for one in session.timeline.keyframes)
     assert first != last
 
     # The second keyframe is dragged to the right: a longer film, in one step.
@@ -80,16 +80,16 @@ def film(driver: Driver, folder: Path) -> None:
     driver.press(Key.comma)
     assert control.selected == 0 and np.isclose(session.viewing.eye.azimuth, first)
     driver.press(Key.delete)
-    assert len(session.timeline.moments) == 1
+    assert len(session.timeline.keyframes) == 1
     driver.press(Key.mod_ctrl | Key.z)
-    assert len(session.timeline.moments) == 2
+    assert len(session.timeline.keyframes) == 2
 
     # A preset from its menu; then the window for saving.
     driver.click(inside("###Make"))
     driver.frames(2)
     driver.click("//$FOCUSED/Explosion")
     driver.frames(2)
-    assert control.playing and len(session.timeline.moments) == 3
+    assert control.playing and len(session.timeline.keyframes) == 3
     driver.press(Key.space)
     driver.press(Key.mod_ctrl | Key.mod_shift | Key.e)
     driver.frames(2)
@@ -107,7 +107,7 @@ def film(driver: Driver, folder: Path) -> None:
     driver.until(lambda: not control.busy, 120, "the frames")
     assert len(list((folder / "frames").glob("*.png"))) == 6, session.message
     driver.press(Key.l)
-    assert not session.viewing.timeline and len(session.timeline.moments) == 3
+    assert not session.viewing.timeline and len(session.timeline.keyframes) == 3
 
 
 def throw_and_slice(driver: Driver, folder: Path) -> None:

@@ -15,7 +15,7 @@ from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Training
 from app.model.history import History
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from app.model.project import Viewing, Work
 from app.model.samples import sample_document
 from app.model.settings import Settings
@@ -28,7 +28,7 @@ from engine.scene.sh import rgb_to_sh
 from tests.helpers.app_driver import Driver, drive
 from tests.helpers.app_steps import ground
 from tests.helpers.solids import ball, joined, unturned
-from tests.quick_scene_worker import use_quick_worker
+from tests.helpers.workers.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
 MAT = 3000
@@ -76,10 +76,10 @@ def isolate(driver: Driver, folder: Path) -> None:
         assert session.isolation.view is not None
         return len(session.isolation.view.left)
 
-    def marked() -> int:
+    def selected() -> int:
         settled()
         assert session.isolation.view is not None
-        return int(session.isolation.view.marked.sum())
+        return int(session.isolation.view.selected.sum())
 
     def solid_again() -> None:
         driver.until(lambda: session.atoms is not None and session.loader is None, 120, "the solid")
@@ -88,7 +88,7 @@ def isolate(driver: Driver, folder: Path) -> None:
     assert session.tool == "isolate" and session.mode == "capture"
     driver.until(lambda: session.isolation.proposals is not None, 30, "proposals")
     driver.click("//Inspector/Floor/Floor")
-    assert abs(marked() - MAT) < 0.05 * MAT
+    assert abs(selected() - MAT) < 0.05 * MAT
     driver.picture(shots / "isolate_1_proposal.png")
 
     # One click removes the mat; the solid is rebuilt without it; undo brings both back.
@@ -99,52 +99,52 @@ def isolate(driver: Driver, folder: Path) -> None:
     assert session.solid.radius < 1.5
     driver.picture(shots / "isolate_2_removed.png")
     driver.press(Key.mod_ctrl | Key.z)
-    assert left() == total and marked() > 0
+    assert left() == total and selected() > 0
     driver.press(Key.mod_ctrl | Key.z)
-    assert marked() == 0
+    assert selected() == 0
 
     # A lasso around the melon, without what a box removes below it; then the selection grows back.
     driver.press(Key._1)
     driver.still()
     session.isolation.marker = "sphere"
     driver.drag((0.5, 0.5), (0.5, 0.3), hold=lambda: driver.picture(shots / "isolate_3_ball.png"))
-    ball = marked()
+    ball = selected()
     assert 0 < ball < total
     session.isolation.marker = "lasso"
     driver.context.key_down(Key.mod_shift)
     driver.drag((0.2, 0.2), (0.8, 0.4))  # a straight line encloses nothing
     driver.context.key_up(Key.mod_shift)
-    assert marked() == ball
+    assert selected() == ball
     session.isolation.marker = "box"
     driver.context.key_down(Key.mod_alt)
     driver.drag((0.5, 0.1), (0.95, 0.9))
     driver.context.key_up(Key.mod_alt)
-    assert 0 < marked() < ball
+    assert 0 < selected() < ball
     driver.picture(shots / "isolate_4_half.png")
-    before = marked()
+    before = selected()
     driver.drag((0.3, 0.4), (0.3, 0.4))  # a click makes no shape
-    assert marked() == before
+    assert selected() == before
     driver.click("//Inspector/Invert")
-    assert marked() == total - before
+    assert selected() == total - before
     driver.click("//Inspector/Clear")
-    assert marked() == 0
+    assert selected() == 0
 
     # A face of the box is pulled, as one step of the history.
     driver.drag((0.4, 0.2), (0.6, 0.6))
     settled()
-    box, few = session.isolation.last_box, marked()
+    box, few = session.isolation.last_box, selected()
     assert box is not None
     steps = len(session.history.entries)
     driver.drag((0.6, 0.4), (0.75, 0.4))
     pulled = session.isolation.last_box
     assert pulled is not None and pulled == replace(box, high=(pulled.high[0], *box.high[1:]))
-    assert marked() > few and len(session.history.entries) == steps + 1
+    assert selected() > few and len(session.history.entries) == steps + 1
     driver.press(Key.mod_ctrl | Key.z)
-    assert session.isolation.last_box == box and marked() == few
+    assert session.isolation.last_box == box and selected() == few
 
     # Only a box drawn from the side stays; the project stores it as a few numbers.
     driver.drag((0.3, 0.15), (0.7, 0.6))
-    kept = marked()
+    kept = selected()
     driver.click("//Inspector/Keep only this")
     assert left() == kept
     session.files.save(folder / "melon.fruitninja")
@@ -177,7 +177,7 @@ def two_balls(session: Session, scene: Path) -> None:
     )
     for document, atoms in zip(session.documents, solids, strict=True):
         request = SceneRequest(scene, isolation=document.isolation)
-        session.loaded[document.number] = LoadedObject(request, capture, atoms, Solid.of_atoms(atoms))
+        session.loaded[document.number] = LoadedObject(request, capture, atoms, PointSample.of_atoms(atoms))
         session.scene._isolations[document.number] = document.isolation
     session.geometry_version += 1
     session.viewing = Viewing(OrbitCamera(azimuth=-90.0, elevation=10.0, distance=4.0), "solid")

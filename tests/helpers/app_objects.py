@@ -9,7 +9,7 @@ import numpy as np
 
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Part, Training
-from app.model.film.timeline import FilmLook, Timeline, moment
+from app.model.film.timeline import FilmLook, SceneKeyframe, Timeline
 from app.model.measure.units import Unit
 from app.model.project import Project, Viewing
 from app.model.rigid_transform import Motion
@@ -46,13 +46,13 @@ def full(folder: Path) -> Project:
     view = View((0.1, 1 / 3, -2.0), (0.6, 0.0, 0.8, 0.0), (0.5, 0.4))
     lasso = Step("add", Lasso(view, ((-1.0, 0.0), (1.0, 0.1), (0.0, 0.9))))
     box = Box((-1.0, 0.0, 0.1), (1.0, 1 / 3, 2.0), (0.0, 0.0, 0.0, 1.0))
-    document = replace(document, isolation=(keep_only(box),), marked=(lasso, Step("grow")))
+    document = replace(document, isolation=(keep_only(box),), selection=(lasso, Step("grow")))
     eye = OrbitCamera((0.1, 1e9, -3.0), 12.5, -90.0, 1 / 3, 50.0, True)
     document = replace(document, number=1, name="Käse", visible=False)
     other = Document(document.scene, isolation=(keep_only(BodyAt((0.1, 1 / 3, -2.0))),), number=7, name="Brot")
     look = FilmLook((1080, 1920), 12.0, "own", (0.1, 1 / 3, 1.0))
-    first = moment(0.0, eye, (document, other))
-    film = Timeline((first, moment(1 / 3, replace(eye, azimuth=400.0), (replace(document, cuts=()),))))
+    first = SceneKeyframe.of(0.0, eye, (document, other))
+    film = Timeline((first, SceneKeyframe.of(1 / 3, replace(eye, azimuth=400.0), (replace(document, cuts=()),))))
     splats = SplatLook(0.5, 0.25)
     viewing = Viewing(eye, "capture", (0.1, 0.2, 0.3), True, (0.5, 0.0, -1.0), Unit("cm", 12.5), True, look, splats)
     return Project((document, other), viewing, film)

@@ -23,7 +23,7 @@ from app.model.camera_control import AXIS_VIEWS, project_points
 from app.model.document import Document, Training
 from app.model.history import History
 from app.model.knife import Stroke
-from app.model.pieces import Solid, pieces
+from app.model.pieces import PointSample, pieces
 from app.model.project import Project, Viewing, Work, load_project, save_project
 from app.model.rigid_transform import Motion
 from app.model.samples import sample_document
@@ -36,8 +36,8 @@ from app.ui.window import Window
 from engine.io.splats.ply import read_ply
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from tests.helpers.app_driver import Driver, drive
+from tests.helpers.workers.quick_scene_worker import use_quick_worker
 from tests.paths import HELPERS
-from tests.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
 WARM = 500
@@ -97,7 +97,7 @@ def at_once(
 
     def start(session: Session) -> None:
         session.history = History(Work((document,)))
-        session.object = LoadedObject(SceneRequest(scene), capture, atoms, Solid.of_atoms(atoms))
+        session.object = LoadedObject(SceneRequest(scene), capture, atoms, PointSample.of_atoms(atoms))
         session.geometry_version += 1
         session.fit()
 

@@ -22,10 +22,6 @@ from tests.paths import SHARED
 FOV = math.radians(35)
 
 
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return float(-10 * np.log10(np.mean((a.astype(np.float64) - b) ** 2) + 1e-20))
-
-
 def around(azimuth: float, elevation: float, distance: float = 1.0, width: int = 120, height: int = 90) -> Camera:
     """A camera that fits the ball of radius 0.5 at distance 1."""
     away = distance * fit_distance(0.5, FOV, width / height)

@@ -21,7 +21,7 @@ from pathlib import Path
 sys.argv = ["fruitninja", "../melon.ply"]
 home = Path(os.environ["FRUITNINJA_HOME"])
 import app.main as program
-from tests.quick_scene_worker import use_quick_worker
+from tests.helpers.workers.quick_scene_worker import use_quick_worker
 
 use_quick_worker()
 

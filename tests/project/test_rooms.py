@@ -73,6 +73,13 @@ MAY_IMPORT = {
 inside, imports it in turn.
 """
 
+USERS = ("benchmarks", "tests", "tools")
+"""What is not installed."""
+
+EQUIPMENT = ("tests.browser", "tests.helpers", "tests.paths", "tests.reference")
+"""Sample objects, slow references, a browser, what moves the window's pointer: all that benchmarks and tools may import
+of the tests. It knows neither them nor any test."""
+
 NO_OPENGL = ("imgui_bundle", "glfw", "moderngl")
 
 KEEPS_OFF = {
@@ -102,15 +109,16 @@ def module_of(path: Path) -> str:
 
 
 @cache
-def sources() -> dict[str, Path]:
-    """Every installed module by its dotted name."""
-    return {module_of(path): path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))}
+def sources(tops: tuple[str, ...] = PACKAGES) -> dict[str, Path]:
+    """Every module in these folders, or every installed one, by its dotted name."""
+    return {module_of(path): path for top in tops for path in sorted((ROOT / top).rglob("*.py"))}
 
 
 @cache
 def imports(name: str) -> frozenset[str]:
     """Modules that a module imports, our own by full name: `from engine.scene import sh` is `engine.scene.sh`."""
-    path = sources()[name]
+    ours = sources((*PACKAGES, *USERS))
+    path = ours[name]
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -123,7 +131,7 @@ def imports(name: str) -> frozenset[str]:
                 base = f"{parent}.{base}".rstrip(".")
             for alias in node.names:
                 inner = f"{base}.{alias.name}"
-                found.add(inner if inner in sources() else base)
+                found.add(inner if inner in ours else base)
     return frozenset(found)
 
 
@@ -162,6 +170,20 @@ def test_a_room_does_without_libraries_of_another(room: str) -> None:
         if within(name, room)
         for target in sorted(imports(name))
         if target.partition(".")[0] in KEEPS_OFF[room]
+    ]
+    assert not wrong
+
+
+def test_benchmarks_and_tools_share_the_equipment_of_tests_and_nothing_else_of_them() -> None:
+    def equipment(name: str) -> bool:
+        return any(within(name, part) for part in EQUIPMENT)
+
+    wrong = [
+        f"{name} imports {target}"
+        for name in sources(USERS)
+        for target in sorted(imports(name))
+        if (equipment(name) and not equipment(target) and target.partition(".")[0] in USERS)
+        or (not within(name, "tests") and within(target, "tests") and not equipment(target))
     ]
     assert not wrong
 

@@ -20,7 +20,7 @@ import app.jobs.scene_worker
 from app import render_cli as cli
 from app.jobs.export import save_animation, save_pieces, save_still
 from app.model.document import Document
-from app.model.pieces import Solid, pieces
+from app.model.pieces import PointSample, pieces
 from app.model.project import save_project
 from engine.command import REFUSED
 from engine.errors import InputError
@@ -76,7 +76,7 @@ def exports(folder: Path) -> None:
     save_animation(folder / "film.gif", iter([RGBA, RGBA[::-1]]))
     save_animation(folder / "film.webp", iter([RGBA, RGBA[::-1]]))
     solid = atoms()
-    save_pieces(folder / "pieces.ply", [(solid, piece) for piece in pieces(Document(), Solid.of_atoms(solid))])
+    save_pieces(folder / "pieces.ply", [(solid, piece) for piece in pieces(Document(), PointSample.of_atoms(solid))])
 
 
 def trained(folder: Path) -> None:

@@ -19,7 +19,7 @@ import training.results
 import training.settings
 from benchmarks.support.charts import front
 from engine.errors import InputError
-from sample_scenes.solids import directions
+from engine.scene.camera import spread_directions
 from sample_scenes.solids.bread import bread as bread_of
 from tests.helpers.tiny_diffusion import save_tokenizer
 from tests.paths import SHARED
@@ -136,7 +136,7 @@ def test_the_thigh_is_a_solid_like_the_others():
     inside = solid.depth(points) > 0
     assert inside.mean() * np.prod(high - low) == pytest.approx(volume, rel=0.03)
     # Skin and flesh are red rather than blue; the background of the photographs is blue.
-    red, _, blue = solid.colour(solid.skin_points(directions(500))).T
+    red, _, blue = solid.colour(solid.skin_points(spread_directions(500))).T
     assert (red > blue).mean() > 0.99
     flesh = solid.colour(points[inside])
     assert flesh.min() >= 0

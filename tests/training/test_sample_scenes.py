@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from engine.io.splats.ply import read_ply
 from engine.scene import sh
-from engine.scene.camera import Camera, orbit, section
+from engine.scene.camera import Camera, orbit, section, spread_directions
 from engine.scene.plane import Plane
 from sample_scenes import make
 from sample_scenes.exemplars import SUPERSAMPLE, crop, photograph, planes, snapshot
 from sample_scenes.shell import LOOKS, NEARLY_OPAQUE, Look, shell
-from sample_scenes.solids import SOLIDS, Solid, directions
+from sample_scenes.solids import SOLIDS, Solid
 
 SCENES = Path(make.__file__).parent
 
@@ -169,7 +169,7 @@ def assert_closed(solid: Solid, gaussians) -> None:
     """No skin point is farther than the core of a splat, 1.18 standard deviations, from a nearly opaque Gaussian."""
     firm = gaussians[gaussians.opacities >= NEARLY_OPAQUE]
     firm = firm[np.abs(solid.depth(firm.means)) < 1e-3]
-    points = solid.skin_points(directions(6007))
+    points = solid.skin_points(spread_directions(6007))
     near = cKDTree(firm.means).query(points, 16)[1]
     axes = Rotation.from_quat(firm.quats, scalar_first=True).as_matrix()
     in_plane = np.einsum("mki,mkij->mkj", points[:, None] - firm.means[near], axes[near])[..., :2]

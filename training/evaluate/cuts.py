@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 
 from engine.io.files import atomic
-from engine.scene.camera import Camera, equator, plane_points, section
+from engine.scene.camera import Camera, equator, plane_points, section, spread_directions
 from engine.scene.plane import Plane
-from sample_scenes.solids import Solid, directions
+from sample_scenes.solids import Solid
 from training.families import Family
 
 __all__ = ["Cut", "Truth", "intersection_points", "load_truth", "make_cuts"]
@@ -79,7 +79,7 @@ def make_cuts(solid: Solid, families: tuple[Family, ...], count: int) -> list[Cu
         elif family.kind == "parallel" and family.axis is not None:
             normal = np.asarray(family.axis)
         planes.append((Plane.through(centre + place * half * normal, normal), family.kind))
-    radius = float(np.linalg.norm(solid.skin_points(directions(2048)) - centre, axis=1).max())
+    radius = float(np.linalg.norm(solid.skin_points(spread_directions(2048)) - centre, axis=1).max())
     return [Cut(plane, section(plane, up, bounds, SIZE, radius), kind) for plane, kind in planes]
 
 

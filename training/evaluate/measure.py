@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import resource
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -20,6 +18,7 @@ from scipy import ndimage
 from engine.io.files import atomic
 from engine.io.picture_file import save_png
 from engine.io.trained import sidecar_path
+from engine.processes import peak_memory
 from engine.threads import cores
 from training.evaluate.cuts import Cut, Truth, intersection_points, load_truth, make_cuts
 from training.evaluate.features import CLASSES, Clip, Features, load_network
@@ -71,7 +70,7 @@ def measure(
     facts = result.facts | {
         "seconds": round(seconds, 2),
         "busy_seconds": round(busy, 2),
-        "peak_mb": round(peak_bytes() / 2**20),
+        "peak_mb": round(peak_memory() / 2**20),
         "surface_atoms": len(result.atoms.surface),
         "interior_atoms": len(result.atoms.interior),
         "file_mb": round(sum(p.stat().st_size for p in (result.path, sidecar_path(result.path))) / 1e6, 2),
@@ -88,12 +87,6 @@ def measure(
     save_strip(out / "results" / scene / f"{method}-{seed}.png", pictures[:STRIP_CUTS])
     save_strip(out / "results" / scene / "truth.png", truth.pictures[:STRIP_CUTS])
     return facts
-
-
-def peak_bytes() -> int:
-    """Peak memory of this process in bytes."""
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most if sys.platform == "darwin" else most * 1024
 
 
 def render_cuts(result: MethodResult, cuts: Sequence[Cut], truth: Truth) -> Float:

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.optimise.losses import psnr, ssim
+from engine.scene.image import psnr
+from training.optimise.losses import ssim
 
 __all__ = [
     "face_psnr",

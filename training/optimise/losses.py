@@ -12,7 +12,7 @@ from torch import Tensor
 
 from engine.threads import for_each
 
-__all__ = ["psnr", "reconstruction", "ssim"]
+__all__ = ["reconstruction", "ssim"]
 
 # Wang et al. 2004: an 11-pixel Gaussian window of sigma 1.5, K1 = 0.01, K2 = 0.03, for a range of one. The border is
 # left out, as in the authors' reference implementation.
@@ -50,13 +50,6 @@ def ssim(
     assert min(a.shape[:2]) >= WINDOW, a.shape
     sums, _ = _ssim_and_gradient(a.astype(np.float32), b.astype(np.float32))
     return sums / (3 * (a.shape[0] - WINDOW + 1) * (a.shape[1] - WINDOW + 1))
-
-
-def psnr(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    """Peak signal-to-noise ratio in dB of two arrays of one shape, for a range of one; infinite where equal."""
-    assert a.shape == b.shape, (a.shape, b.shape)
-    error = float(np.mean((a.astype(np.float64) - b) ** 2))
-    return float("inf") if error == 0 else -10 * float(np.log10(error))
 
 
 class _Reconstruction(torch.autograd.Function):

@@ -16,7 +16,7 @@ from app.jobs.export import save_animation
 from app.jobs.film.frame_folder import save_frames
 from app.model.film.motion import frame_count, frame_times
 from app.model.film.timeline import FilmLook, played
-from app.model.pieces import Solid, placed_pieces
+from app.model.pieces import PointSample, placed_pieces
 from app.model.project import Project
 from app.model.rigid_transform import Vec3
 from engine.io.files import open_file
@@ -75,7 +75,7 @@ def save_project_film(
     like. `drawn` is called before each frame with the part that is drawn, range [0, 1], and may raise to stop. Raises
     InputError if the film cannot be saved.
     """
-    samples = {number: Solid.of_atoms(one.atoms) for number, one in objects.items()}
+    samples = {number: PointSample.of_atoms(one.atoms) for number, one in objects.items()}
     documents = tuple(document for document in project.documents if document.number in samples)
     shown, closed = played(project.film, documents, samples)
     look, seconds = shooting.look, project.film.seconds

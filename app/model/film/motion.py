@@ -18,7 +18,7 @@ from scipy.interpolate import PchipInterpolator
 
 from app.model.camera_control import OrbitCamera
 from app.model.document import DEFAULT_GAP, Document, Part
-from app.model.pieces import Solid, pieces
+from app.model.pieces import PointSample, pieces
 from app.model.rigid_transform import Vec3, vec3
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
@@ -31,7 +31,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class Keyframe:
-    """What a film shows at one moment."""
+    """What a film shows of one object at one time."""
 
     time: float
     """Seconds from the beginning. Range [0, inf)."""
@@ -128,7 +128,7 @@ def seen(eye: OrbitCamera, shown: Keyframe) -> OrbitCamera:
     )
 
 
-def placed(film: Film, shown: Keyframe, solid: Solid) -> list[Piece]:
+def placed(film: Film, shown: Keyframe, solid: PointSample) -> list[Piece]:
     """The pieces of a frame: parted as in the window, without what the frame's planes hide."""
     cut = Document(gap=shown.parted, explode=shown.explosion)
     for plane in film.cuts:

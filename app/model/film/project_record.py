@@ -7,7 +7,7 @@ from typing import Any
 
 from app.model.camera_control import OrbitCamera
 from app.model.film.record import LONGEST, MOST_KEYFRAMES, MOST_PLANES
-from app.model.film.timeline import BACKGROUNDS, FilmLook, Moment, Opened, Timeline
+from app.model.film.timeline import BACKGROUNDS, FilmLook, Opened, SceneKeyframe, Timeline
 from engine.io.fields import Fields
 from engine.scene.plane import Plane
 from training.request import read_plane
@@ -22,27 +22,29 @@ SLOWEST, FASTEST = 1.0, 60.0
 
 
 def timeline_record(timeline: Timeline) -> list[dict[str, Any]]:
-    """The moments, from which `read_timeline` makes an equal film."""
+    """The keyframes, from which `read_timeline` makes an equal film."""
     return [
         {"time": one.time, "view": eye_record(one.eye), "objects": [_opened_record(o) for o in one.objects]}
-        for one in timeline.moments
+        for one in timeline.keyframes
     ]
 
 
 def read_timeline(fields: Fields, table: dict[str, Any]) -> Timeline:
     """The film in the field 'film' of a project. Raises InputError if there is no valid one."""
 
-    def read_moment(raw: Any) -> Moment:
+    def read_keyframe(raw: Any) -> SceneKeyframe:
         entry = fields.table(raw, "a keyframe")
         view = read_eye(fields, fields.table(entry.get("view"), "'view' of a keyframe"))
         objects = fields.each(entry, "objects", lambda one: _read_opened(fields, one))
         fields.require(len({one.number for one in objects}) == len(objects), "a keyframe has an object twice")
-        return Moment(fields.number(entry, "time", 0.0, LONGEST), view, objects)
+        return SceneKeyframe(fields.number(entry, "time", 0.0, LONGEST), view, objects)
 
-    moments = fields.each(table, "film", read_moment)
-    fields.require(len(moments) <= MOST_KEYFRAMES, f"it has more than {MOST_KEYFRAMES} keyframes")
-    fields.require(all(a.time < b.time for a, b in pairwise(moments)), "keyframes are not in the order of their times")
-    return Timeline(moments)
+    keyframes = fields.each(table, "film", read_keyframe)
+    fields.require(len(keyframes) <= MOST_KEYFRAMES, f"it has more than {MOST_KEYFRAMES} keyframes")
+    fields.require(
+        all(a.time < b.time for a, b in pairwise(keyframes)), "keyframes are not in the order of their times"
+    )
+    return Timeline(keyframes)
 
 
 def look_record(look: FilmLook) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from app.model.document import Document, Key, Part, Placement
 from app.model.knife import Stroke, slice_object
-from app.model.pieces import PlacedPiece, Solid, pieces
+from app.model.pieces import PlacedPiece, PointSample, pieces
 from app.model.rigid_transform import Motion, Vec3
 from engine.scene.camera import Camera
 
@@ -78,7 +78,7 @@ class Throw:
     """Number of cuts made in flight."""
 
 
-def thrown(document: Document, solid: Solid, camera: Camera, distance: float, time: float) -> Throw:
+def thrown(document: Document, solid: PointSample, camera: Camera, distance: float, time: float) -> Throw:
     """Throws all visible pieces up together, from below a picture whose middle is at `distance` from the camera."""
     visible = [piece for piece in pieces(document, solid) if piece.visible]
     rows = [piece.motion.apply(solid.points[piece.rows]) for piece in visible]
@@ -112,7 +112,7 @@ def _first(new: Placement, _: Placement) -> Placement:
     return new
 
 
-def sliced(throw: Throw, solid: Solid, camera: Camera, stroke: Stroke, up: Vec3, time: float) -> Throw:
+def sliced(throw: Throw, solid: PointSample, camera: Camera, stroke: Stroke, up: Vec3, time: float) -> Throw:
     """The throw after a stroke: each piece that it crosses becomes two, which move and turn apart."""
     cut = slice_object(in_flight(throw, time), solid, camera, stroke, up).document
     if cut is None:
@@ -141,7 +141,7 @@ def _leaving(parts: Sequence[Part], piece: PlacedPiece) -> NDArray[np.float64]:
 def _apart(
     piece: PlacedPiece,
     parent: Flight,
-    solid: Solid,
+    solid: PointSample,
     away: NDArray[np.float64],
     time: float,
     fall: NDArray[np.float64],

@@ -11,6 +11,7 @@ from app.ui.dialogs.exporter import Exporter, Options
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, px
 from app.ui.widgets import cancel_button, font, main_button, modal, row_label, secondary
+from engine.export.kinds import KINDS
 from engine.io.writers.splats import SPLAT_WRITERS
 
 __all__ = ["ExportWindow"]
@@ -30,7 +31,6 @@ HINTS = {
         "pieces of this object, or all of them."
     ),
 }
-MESHES = (".glb", ".obj", ".3mf")
 LARGEST = 8192
 """Most pixels along a side; OpenGL drivers without a larger limit are common."""
 
@@ -85,7 +85,8 @@ class ExportWindow:
             o.separate = imgui.checkbox(_("one for each piece"), o.separate)[1]
         if o.kind == "meshes":
             row_label(_("Format"), 110)
-            o.meshes = MESHES[imgui.combo("##meshes", MESHES.index(o.meshes), [s[1:].upper() for s in MESHES])[1]]
+            meshes = KINDS["mesh"].suffixes
+            o.meshes = meshes[imgui.combo("##meshes", meshes.index(o.meshes), [s[1:].upper() for s in meshes])[1]]
         imgui.dummy(ImVec2(0, px(6)))
         if main_button(_("Choose where..."), px(150)):
             self._choose()

@@ -98,7 +98,7 @@ class TimelinePanel:
                 film.add()
             tooltip(_("Keep this view, the planes and the explosion at the playhead"), "N")
         imgui.same_line()
-        chosen = film.selected is not None and film.selected < len(timeline.moments)
+        chosen = film.selected is not None and film.selected < len(timeline.keyframes)
         with disabled(not chosen):
             if icon_button(f"{icon.ICON_FA_ARROWS_ROTATE}##replace", BUTTON, quiet=True):
                 film.update()
@@ -135,7 +135,7 @@ class TimelinePanel:
             if imgui.menu_item_simple(label):
                 self.session.film.preset(name)
         imgui.separator()
-        if imgui.menu_item(_("Remove the film"), "", False, bool(self.session.timeline.moments))[0]:
+        if imgui.menu_item(_("Remove the film"), "", False, bool(self.session.timeline.keyframes))[0]:
             self.session.film.clear()
         imgui.end_popup()
 
@@ -143,7 +143,7 @@ class TimelinePanel:
 
     def _ruler(self) -> None:
         session, film, p = self.session, self.session.film, palette()
-        moments = session.timeline.moments
+        keyframes = session.timeline.keyframes
         if not imgui.is_any_item_active():
             self._span = max(SHORTEST, BEYOND * session.timeline.seconds, film.time)
         draw, low = imgui.get_window_draw_list(), imgui.get_cursor_screen_pos()
@@ -161,8 +161,8 @@ class TimelinePanel:
             ImVec2(low.x, middle - px(12)), ImVec2(low.x + size.x, middle + px(12)), u32(p.field), px(5)
         )
         self._ticks(draw, low.y, middle, length, x_of(0.0))
-        if moments:
-            ends = x_of(moments[0].time), x_of(moments[-1].time)
+        if keyframes:
+            ends = x_of(keyframes[0].time), x_of(keyframes[-1].time)
             draw.add_line(ImVec2(ends[0], middle), ImVec2(ends[1], middle), u32(p.second), px(2))
         else:
             text = _("Add a keyframe of this view, change the view or the planes, add another.")
@@ -172,13 +172,13 @@ class TimelinePanel:
         imgui.set_cursor_screen_pos(low)
         imgui.set_next_item_allow_overlap()
         imgui.invisible_button("##ruler", size)
-        if imgui.is_item_active() and film.available and moments:
+        if imgui.is_item_active() and film.available and keyframes:
             film.playing = False
             film.seek(min(time_at(imgui.get_mouse_pos().x), session.timeline.seconds))
             film.selected = session.timeline.at(film.time)
-        for index, one in enumerate(moments):
+        for index, one in enumerate(keyframes):
             self._key(draw, index, ImVec2(x_of(one.time), middle), time_at)
-        if moments:
+        if keyframes:
             at = x_of(min(film.time, self._span))
             draw.add_line(ImVec2(at, low.y + px(4)), ImVec2(at, middle + px(12)), u32(p.accent), px(1.8))
             top = low.y + px(3)
@@ -207,12 +207,12 @@ class TimelinePanel:
         hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
         if imgui.is_item_activated():
             film.playing = False
-            film.seek(session.timeline.moments[index].time)
+            film.seek(session.timeline.keyframes[index].time)
             film.selected = index
         if active and imgui.is_mouse_dragging(imgui.MouseButton_.left, px(3)):
             film.move(index, time_at(imgui.get_mouse_pos().x))
-            film.time = session.timeline.moments[index].time
-        one = session.timeline.moments[index]
+            film.time = session.timeline.keyframes[index].time
+        one = session.timeline.keyframes[index]
         if hovered and not active:
             tooltip(
                 _("Keyframe {index} at {time:.2f} s. Click to show it, drag to move it.").format(

@@ -68,12 +68,12 @@ class IsolatePanel:
         view = isolation.view
         if view is None:
             secondary(_("Finding what is selected..."))
-        elif not session.document.marked:
+        elif not session.document.selection:
             secondary(_("Nothing is selected. Drag over the capture."), wrap=True)
         else:
-            secondary(_("{some:,} of {count:,} selected").format(some=int(view.marked.sum()), count=len(view.left)))
+            secondary(_("{some:,} of {count:,} selected").format(some=int(view.selected.sum()), count=len(view.left)))
         each = (width - 2 * imgui.get_style().item_spacing.x) / 3
-        with disabled(not session.document.marked):
+        with disabled(not session.document.selection):
             if imgui.button(_("Invert"), ImVec2(each, 0)):
                 isolation.invert()
             tooltip(_("Select everything else"))
@@ -87,15 +87,15 @@ class IsolatePanel:
             tooltip(_("Select nothing"))
             half = share(width, _("Keep only this"), _("Remove"))
             if main_button(_("Keep only this"), half):
-                isolation.keep_marked()
+                isolation.keep_selected()
             tooltip(_("Remove everything that is not selected"))
             if half > 0:
                 imgui.same_line()
             if imgui.button(_("Remove"), ImVec2(half, px(32))):
-                isolation.remove_marked()
+                isolation.remove_selected()
             tooltip(_("Remove what is selected"), "Del")
             if imgui.button(_("Make it an object of its own"), ImVec2(-1, 0)):
-                isolation.split_marked()
+                isolation.split_selected()
             tooltip(_("Two objects: what is selected, and the rest"))
 
     def _proposals(self) -> None:
@@ -113,7 +113,7 @@ class IsolatePanel:
     def _proposal(self, proposal: Proposal) -> None:
         session = self.session
         imgui.push_id(proposal.name)
-        shown = session.document.marked == proposal.selection
+        shown = session.document.selection == proposal.selection
         if list_row(proposal.name, shown, imgui.get_content_region_avail().x - px(118), 24):
             session.isolation.clear() if shown else session.isolation.propose(proposal)
         tooltip(_("{hint}. Click to see it in the capture.").format(hint=proposal.hint))

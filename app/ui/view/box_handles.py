@@ -1,4 +1,4 @@
-"""Handles on the faces of the box that was marked last; each can be pulled along its axis."""
+"""Handles on the faces of the box that was drawn last; each can be pulled along its axis."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class BoxHandles:
         self._pulled: Face | None = None
 
     def edges(self, scale: float) -> list[Lines]:
-        """The edges of the box; none if another shape was marked last. `scale` as in PlaneLines.families."""
+        """The edges of the box; none if another shape was drawn last. `scale` as in PlaneLines.families."""
         box = self.session.isolation.last_box
         return [] if box is None else [lines(box_edges(box), palette().accent, 0.9, px(1.2) * scale, 0.35)]
 

@@ -168,7 +168,7 @@ def tool_hint(session: Session) -> None:
     """Says beside the pointer what to do with the tool; for the knife until the first cut, for isolating until
     something is selected."""
     text = "" if session.previewing else HINTS[session.tool]
-    idle = bool(session.document.marked) if session.tool == "isolate" else session.atoms is None
+    idle = bool(session.document.selection) if session.tool == "isolate" else session.atoms is None
     if not text or idle or (session.tool == "knife" and session.settings.seen_hint):
         return
     mouse = imgui.get_mouse_pos()

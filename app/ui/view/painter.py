@@ -265,8 +265,8 @@ class Painter:
     def _upload(self, workspace: Workspace, seconds: float, tinted: bool = True) -> bool:
         """Uploads the workspace's objects unless the GPU has them; False if there is nothing to draw.
 
-        `tinted`: whether marked Gaussians of the capture are tinted. `seconds`: time after which the rest of a capture
-        waits for the next frame; until then the previous one is drawn.
+        `tinted`: whether selected Gaussians of the capture are tinted. `seconds`: time after which the rest of a
+        capture waits for the next frame; until then the previous one is drawn.
         """
         if workspace.object is None:
             self._capture = None  # the next scene is another one

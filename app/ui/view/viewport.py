@@ -337,7 +337,7 @@ class Viewport:
                 session.add_plane(towards)
         elif drag.kind == "mark" and not drag.cancelled:
             how = "add" if io.key_shift else "subtract" if io.key_alt else session.isolation.how
-            session.isolation.mark(camera, drag.path, how)
+            session.isolation.select(camera, drag.path, how)
         elif drag.kind in ("move", "turn"):
             session.history.settle()
         elif drag.kind == "orbit" and moved < SHORTEST:

@@ -17,16 +17,11 @@ from trimesh.visual.material import PBRMaterial
 
 from engine.errors import InputError
 from engine.export.meshes.textured import TexturedPieces
+from engine.export.units import MILLIMETRES
 from engine.io.files import atomic, atomic_together
 from engine.scene.moved import Z_UP, upright
 
-__all__ = ["MESHES", "save_mesh"]
-
-MILLIMETRES = 1000.0
-"""Millimetres in a metre; 3MF files of most slicers are in millimetres."""
-
-MESHES = (".glb", ".obj", ".3mf")
-"""Suffixes of the formats."""
+__all__ = ["save_mesh"]
 
 
 def save_mesh(path: Path, made: TexturedPieces, up: Sequence[float], metres: float) -> list[Path]:
@@ -43,7 +38,7 @@ def save_mesh(path: Path, made: TexturedPieces, up: Sequence[float], metres: flo
     }
     suffix = path.suffix.lower()
     if suffix not in writers:
-        raise InputError(f"{path}: meshes are written as {', '.join(MESHES)}; give a name that ends in one of them")
+        raise InputError(f"{path}: meshes are written as {', '.join(writers)}; give a name that ends in one of them")
     matrix = metres * upright(up)
     return writers[suffix](path, made, MILLIMETRES * Z_UP @ matrix if suffix == ".3mf" else matrix)
 

@@ -21,8 +21,8 @@ from engine.export.colours import Colours
 from engine.export.page.skin import Cube, pack_skin
 from engine.export.page.volume import Layers, pack_body, pack_inside
 from engine.io.files import atomic
+from engine.render.culling.drawable import reach_of
 from engine.render.culling.groups import MAX_PLANES
-from engine.render.culling.solid import reach_of
 from engine.render.defines import CONSTANTS
 from engine.scene.camera import equator
 from engine.scene.grid import Body, Grid

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from engine.errors import InputError
+from engine.export.units import INCH, MILLIMETRES
 from engine.export.voxels import Voxels, coarsened
 from engine.io.files import ZIP_TIME, atomic, atomic_together
 from engine.io.scratch import atomic_folder
@@ -25,12 +26,6 @@ from engine.scene.inside import KIND_NAMES
 from engine.scene.moved import Z_UP, upright
 
 __all__ = ["VOLUMES", "save_volume"]
-
-MILLIMETRES = 1000.0
-"""Millimetres in a metre."""
-
-INCH = 0.0254
-"""Metres."""
 
 SMALLEST = 64
 """Voxels along the longest side below which no smaller version is made for OME-Zarr."""

@@ -26,16 +26,16 @@ from engine.render.cpu.software_frame import (
     gather,
     pack,
 )
-from engine.render.cpu.software_grids import GridCache
+from engine.render.cpu.software_grids import GridArrays
 from engine.render.cpu.software_holes import fill_holes, seen_through, tile_depths
 from engine.render.cpu.software_sections import BAND, SECTION, AtomBatch, SectionView, bin_bands, sections
 from engine.render.cpu.splats import RECORD, TILE, Splats
 from engine.render.cpu.tiles import CHUNKS, TILES_PER_TASK, TiledSplats, accumulate, tile_lists
 from engine.render.cpu.weights import SUMS
 from engine.render.culling.draw_options import DrawOptions
+from engine.render.culling.drawable import Drawable
 from engine.render.culling.groups import Group, Rect, visible_groups
 from engine.render.culling.piece_faces import Face, atoms_at_face, scale_of, visible_faces
-from engine.render.culling.solid import Solid
 from engine.render.culling.store import Ellipsoids, Spheres
 from engine.render.culling.view import View
 from engine.render.culling.visible import visible_atoms
@@ -62,7 +62,7 @@ def is_software(renderer: str) -> bool:
 class _Group:
     """Pieces that lie together, in a rectangle of the picture."""
 
-    solid: Solid
+    solid: Drawable
     options: DrawOptions
     number: int
     view: View
@@ -82,7 +82,7 @@ class SoftwareMode:
     """Draws pieces of solids into a frame."""
 
     def __init__(self) -> None:
-        self.grids = GridCache()
+        self.grids = GridArrays()
         self._buffers: dict[str, NDArray[Any]] = {}
         self._size = (0, 0)
         self._drawn: Rect | None = None
@@ -97,7 +97,7 @@ class SoftwareMode:
 
     def draw(
         self,
-        solids: Sequence[Solid],
+        solids: Sequence[Drawable],
         camera: Camera,
         pieces: Sequence[Piece],
         groups: Sequence[Group],
@@ -235,12 +235,12 @@ class SoftwareMode:
         if not visible:
             return False
         chosen: list[tuple[Face, Spheres | Ellipsoids, NDArray[np.uint32]]] = []
-        keys = []
+        kept = []
         for f in visible:
             minified = 0.5 * f.widest_pixel(view) > float(solid.inside.reach.min(initial=np.inf)) / 3
-            key = None if options.exact or minified else self.grids.get(f.plane, solid.inside, options)
-            if key is not None:
-                keys.append((f.index, key))
+            grid = None if options.exact or minified else self.grids.get(f.plane, solid.inside, options)
+            if grid is not None:
+                kept.append((f.index, grid))
             else:
                 chosen.append((f, solid.inside, atoms_at_face(view, planes, f, solid.inside, options)))
             if not options.interior_only:
@@ -263,7 +263,7 @@ class SoftwareMode:
         first_joined = np.cumsum([0] + [len(n) for n in neighbours])
         bands = -(-len(depths) // BAND)
         band_starts, section_ids = bin_bands(boxes, bands)
-        cells, grids = self.grids.concatenated(keys, len(planes))
+        cells, grids = self.grids.concatenated(kept, len(planes))
         faces = PieceFaces(
             cam,
             PieceBounds(view.planes_in_camera(planes), joined, first_joined, tolerance),

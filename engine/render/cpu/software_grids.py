@@ -1,14 +1,13 @@
-"""Cached grids of the interior's field on a cut plane, for the software path.
+"""The field of the interior atoms on cut planes, as arrays that the software path keeps while the planes stay.
 
 A moving plane is drawn pixel by pixel, which costs less than its grid. The grid is made when two frames in a row show
-the same plane, and cached while it stays.
+the same plane.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,69 +16,65 @@ from engine.render.cpu.software_faces import GRID, fill_grid
 from engine.render.cpu.software_sections import BAND, SECTION, AtomBatch, SectionView, bin_bands, sections
 from engine.render.cpu.tiles import CHUNKS
 from engine.render.culling.draw_options import DrawOptions
-from engine.render.culling.face_grid import CACHE_BYTES, plan_grid
+from engine.render.culling.face_grid import plan_grid
+from engine.render.culling.grid_cache import GridCache, grid_key
 from engine.render.culling.store import Spheres
 from engine.render.projection import camera_record
 from engine.scene.camera import Camera
 from engine.threads import for_each
 
-__all__ = ["GridCache"]
+__all__ = ["GridArrays"]
 
 Double = NDArray[np.float64]
-Grid = tuple[NDArray[np.float32], Double]
-"""Weight and RGB by weight (cells, 4), and the numbers that describe the grid (GRID,)."""
 
 
-class GridCache:
-    """The grids of sets of interior atoms."""
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """An array in a plane."""
+
+    cells: NDArray[np.float32]
+    """(cells, 4). Weight and RGB by weight."""
+    layout: Double
+    """(GRID,). The numbers that describe the grid to the kernels; the first, where its cells begin, is 0."""
+
+
+class GridArrays:
+    """The grids of sets of interior atoms, as arrays."""
 
     def __init__(self) -> None:
-        self._cache: OrderedDict[tuple[Any, ...], Grid | None] = OrderedDict()
-        self._seen: set[tuple[Any, ...]] = set()
-        self._now: set[tuple[Any, ...]] = set()
-        self._keys: list[tuple[Any, ...]] = []
+        self._cache = GridCache[Grid](lambda grid: grid.cells.nbytes)
+        self._joined: list[Grid] = []
         self._cells = np.zeros((0, 4), np.float32)
+        """The cells of the grids that were joined last."""
 
     def begin(self) -> None:
         """Begins a new frame."""
-        self._seen, self._now = self._now, set()
+        self._cache.begin()
 
-    def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> tuple[Any, ...] | None:
-        """The key of the grid of a plane (4,), made if the last frame showed it too; None if there is none."""
-        key = (id(spheres), *plane.tolist(), options.level, options.size)  # the renderer holds `spheres` until `clear`
-        self._now.add(key)
-        if key not in self._cache:
-            if key not in self._seen:
-                return None
-            self._cache[key] = make(plane, spheres, options)
-        self._cache.move_to_end(key)
-        total = sum(grid[0].nbytes for grid in self._cache.values() if grid is not None)
-        for old in [old for old in self._cache if old not in self._now and old not in self._seen]:
-            if total <= CACHE_BYTES and len(self._cache) < 1000:
-                break
-            grid = self._cache.pop(old)
-            total -= 0 if grid is None else grid[0].nbytes
-        return None if self._cache[key] is None else key
+    def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
+        """The grid of a plane (4,) in centred object space, made if the last frame showed it too; None if there is
+        none."""
+        key = grid_key(plane, spheres, options)
+        return self._cache.get(key, lambda: make(plane, spheres, options), at_once=False)
 
-    def concatenated(self, keys: Sequence[tuple[int, tuple[Any, ...]]], planes: int) -> Grid:
-        """The grids of some planes, one after another, and the description of each plane's grid (planes, GRID)."""
-        if self._keys != [key for _, key in keys]:
-            grids = [grid[0] for _, key in keys if (grid := self._cache[key]) is not None]
-            self._cells = np.concatenate(grids) if grids else np.zeros((0, 4), np.float32)
-            self._keys = [key for _, key in keys]
+    def concatenated(self, grids: Sequence[tuple[int, Grid]], planes: int) -> tuple[NDArray[np.float32], Double]:
+        """The cells of some planes' grids, one after another (cells, 4), and the layout of each plane's grid
+        (planes, GRID), -1 where there is none. `grids`: each after the index of its plane."""
+        joined = [grid for _, grid in grids]
+        if self._joined != joined:
+            self._cells = np.concatenate([grid.cells for grid in joined]) if joined else np.zeros((0, 4), np.float32)
+            self._joined = joined
         table, first = np.full((planes, GRID), -1.0), 0
-        for plane, key in keys:
-            grid = self._cache[key]
-            assert grid is not None
-            table[plane] = grid[1]
+        for plane, grid in grids:
+            table[plane] = grid.layout
             table[plane, 0] = first
-            first += len(grid[0])
+            first += len(grid.cells)
         return self._cells, table
 
     def clear(self) -> None:
         """Drops all grids: the atoms or their colours have changed."""
         self._cache.clear()
-        self._keys = []
+        self._joined = []
         self._cells = np.zeros((0, 4), np.float32)
 
 
@@ -105,4 +100,4 @@ def make(plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
     band_starts, section_ids = bin_bands(boxes, -(-height // BAND))
     grid = np.empty((height, width, 4), np.float32)
     for_each(fill_grid, -(-height // BAND), low[0], low[1], cell, band_starts, section_ids, boxes, records, grid)
-    return grid.reshape(-1, 4), np.array([0, height, width, low[0], low[1], 1 / cell])
+    return Grid(grid.reshape(-1, 4), np.array([0, height, width, low[0], low[1], 1 / cell]))

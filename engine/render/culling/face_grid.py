@@ -1,6 +1,6 @@
 """Plan of the grid that samples the field of the interior atoms on a cut plane: whether to make one, where, how fine.
 
-The graphics card keeps such a grid as a texture, the software path as an array; both follow this plan.
+The graphics card has such a grid as a texture, the software path as an array; both follow this plan.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from engine.render.culling.polygon import section_of_box
 from engine.render.culling.store import Spheres
 from engine.scene.plane import frame
 
-__all__ = ["CACHE_BYTES", "GridPlan", "plan_grid"]
+__all__ = ["GridPlan", "plan_grid"]
 
 Double = NDArray[np.float64]
 
@@ -28,9 +28,6 @@ WIDEST = 12.0
 
 MOST_CELLS = 1 << 22
 """Largest grid (64 MB); a face that needs more is drawn pixel by pixel."""
-
-CACHE_BYTES = 256 << 20
-"""Memory for grids that are not in the frame; the least recently used goes first."""
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import InputError
+from engine.render.culling.drawable import Drawable
 from engine.render.culling.polygon import corners_within, face_polygons
-from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
@@ -42,8 +42,8 @@ def group_pieces(pieces: Sequence[Piece]) -> list[Group]:
 
 
 def visible_groups(
-    solids: Sequence[Solid], camera: Camera, pieces: Sequence[Piece], groups: Sequence[Group]
-) -> Iterator[tuple[int, Solid, View, list[Double], Rect]]:
+    solids: Sequence[Drawable], camera: Camera, pieces: Sequence[Piece], groups: Sequence[Group]
+) -> Iterator[tuple[int, Drawable, View, list[Double], Rect]]:
     """The visible groups, farthest first: number, solid, view, each piece's planes (P, 4), rectangle of the picture."""
     owners = [solids[pieces[members[0]].solid] for _, members in groups]
     centres = [transform @ np.append(solid.centre, 1) for solid, (transform, _) in zip(owners, groups, strict=True)]
@@ -57,7 +57,7 @@ def visible_groups(
             yield number, solid, view, planes, rect
 
 
-def bounding_planes(piece: Piece, solid: Solid) -> Double | None:
+def bounding_planes(piece: Piece, solid: Drawable) -> Double | None:
     """(P, 4). The planes of a piece that cut the solid, in centred object space; None if nothing is left of it.
 
     Raises InputError for more than MAX_PLANES.
@@ -79,7 +79,7 @@ def bounding_planes(piece: Piece, solid: Solid) -> Double | None:
     return planes
 
 
-def bounds_on_screen(view: View, pieces: Sequence[Double], solid: Solid) -> Rect | None:
+def bounds_on_screen(view: View, pieces: Sequence[Double], solid: Drawable) -> Rect | None:
     """The part of the picture that the pieces can touch; None if there is none."""
     least, most = view.extent(np.zeros((1, 3)), np.array([solid.reach]))
     low, high = np.full(2, np.inf), np.full(2, -np.inf)

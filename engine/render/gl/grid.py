@@ -1,4 +1,4 @@
-"""The field of the interior atoms on a cut plane, cached as a texture while the plane stays.
+"""The field of the interior atoms on cut planes, as textures that are kept while the planes stay.
 
 A face looks the same from every camera, so its sums need not be computed for each frame: a plane's grid is computed
 once, read with linear interpolation, and shared by the two pieces that the plane separates. The cells are fine compared
@@ -9,22 +9,21 @@ side.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
-from typing import Any
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.render.culling.draw_options import DrawOptions
-from engine.render.culling.face_grid import CACHE_BYTES, plan_grid
+from engine.render.culling.face_grid import plan_grid
+from engine.render.culling.grid_cache import GridCache, grid_key
 from engine.render.culling.store import Spheres
 from engine.render.gl.batches import Pool
 from engine.render.gl.buffers import Buffers
 from engine.render.gl.context import Programs, write_uniforms
 
-__all__ = ["Grid", "GridCache"]
+__all__ = ["Grid", "GridTextures"]
 
 Double = NDArray[np.float64]
 
@@ -47,45 +46,25 @@ class Grid:
         return self.texture.width * self.texture.height * 16
 
 
-class GridCache:
-    """The grids of sets of interior atoms."""
+class GridTextures:
+    """The grids of sets of interior atoms, as textures."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
         self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
-        self._cache: OrderedDict[tuple[Any, ...], Grid | None] = OrderedDict()
-        self._used: set[tuple[Any, ...]] = set()
+        self._cache = GridCache[Grid](lambda grid: grid.size, lambda grid: grid.texture.release())
 
     def begin(self) -> None:
         """Begins a new frame."""
-        self._used.clear()
+        self._cache.begin()
 
     def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
         """The grid of a plane (4,) in centred object space; None if the atoms' sizes do not allow one."""
         plane = plane if plane[np.argmax(np.abs(plane[:3]))] > 0 else -plane  # both orientations share it
-        key = (id(spheres), *plane.tolist(), options.level, options.size)  # the renderer holds `spheres` until `clear`
-        if key not in self._cache:
-            self._cache[key] = self._make(plane, spheres, options)
-        self._cache.move_to_end(key)
-        self._used.add(key)
-        self._evict()
-        return self._cache[key]
+        return self._cache.get(grid_key(plane, spheres, options), lambda: self._make(plane, spheres, options))
 
     def clear(self) -> None:
         """Frees all grids: the atoms or their colours have changed."""
-        for grid in self._cache.values():
-            if grid is not None:
-                grid.texture.release()
         self._cache.clear()
-
-    def _evict(self) -> None:
-        total = sum(grid.size for grid in self._cache.values() if grid is not None)
-        for key in [key for key in self._cache if key not in self._used]:
-            if total <= CACHE_BYTES and len(self._cache) < 1000:
-                return
-            grid = self._cache.pop(key)
-            if grid is not None:
-                total -= grid.size
-                grid.texture.release()
 
     def _make(self, plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
         plan = plan_grid(plane, spheres, options)

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.render.culling.draw_options import DrawOptions
+from engine.render.culling.drawable import Drawable
 from engine.render.culling.groups import Group, Rect, visible_groups
-from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
 from engine.render.gl.buffers import Buffers
@@ -46,7 +46,7 @@ class OpaqueMode:
 
     def draw(
         self,
-        solids: Sequence[Solid],
+        solids: Sequence[Drawable],
         camera: Camera,
         pieces: Sequence[Piece],
         groups: Sequence[Group],
@@ -85,7 +85,7 @@ class OpaqueMode:
             empty = False
 
     def _sum_group(
-        self, view: View, planes: list[Double], solid: Solid, sums: Accumulators, rect: Rect, options: DrawOptions
+        self, view: View, planes: list[Double], solid: Drawable, sums: Accumulators, rect: Rect, options: DrawOptions
     ) -> bool:
         """Fills the accumulators with pieces that lie together; True if a face is visible."""
         sums.front_fbo.scissor = (0, 0, *sums.front_fbo.size)

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.render.cpu.software import SoftwareMode, is_software
 from engine.render.culling.draw_options import DrawOptions, Mode, SplatLook
+from engine.render.culling.drawable import Drawable
 from engine.render.culling.groups import Group, group_pieces
-from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
 from engine.render.gl.classic import Blending, Capture
@@ -89,7 +89,7 @@ class Renderer:
         by_shaders = not is_software(self.ctx.info["GL_RENDERER"]) if shaders is None else shaders
         self._software = None if by_shaders else SoftwareMode()
         self._overlays = OverlayPass(self.ctx, self._programs)
-        self._solids: list[Solid] = []
+        self._solids: list[Drawable] = []
         self._made_of: list[Atoms | None] = []
         """The atoms that each solid shows; None if it has been recoloured."""
         self._capture: Capture | None = None
@@ -119,15 +119,15 @@ class Renderer:
     # Content
 
     @current
-    def set_atoms(self, *atoms: Atoms | Solid) -> None:
+    def set_atoms(self, *atoms: Atoms | Drawable) -> None:
         """Sets the solids to draw: `Piece.solid` is an index into them. Those of atoms set before are reused.
 
-        A `Solid` may be made from its atoms beforehand, as in another thread: a million atoms take half a second.
+        A `Drawable` may be made from its atoms beforehand, as in another thread: a million atoms take half a second.
         """
         known = {id(made_of): solid for made_of, solid in zip(self._made_of, self._solids, strict=True)}
-        made_of = [one.atoms if isinstance(one, Solid) else one for one in atoms]
-        ready = [one if isinstance(one, Solid) else None for one in atoms]
-        solids = [known.get(id(one)) or made or Solid(one) for one, made in zip(made_of, ready, strict=True)]
+        made_of = [one.atoms if isinstance(one, Drawable) else one for one in atoms]
+        ready = [one if isinstance(one, Drawable) else None for one in atoms]
+        solids = [known.get(id(one)) or made or Drawable(one) for one, made in zip(made_of, ready, strict=True)]
         self._release_solids()
         self._solids, self._made_of = solids, list(made_of)
 

@@ -20,7 +20,7 @@ from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
 from engine.render.gl.buffers import Buffers
 from engine.render.gl.context import Growing, Programs, layout, write_uniforms
-from engine.render.gl.grid import GridCache
+from engine.render.gl.grid import GridTextures
 from engine.render.gl.targets import Accumulators
 from engine.scene.constants import JOINT_PITCHES
 from engine.scene.plane import frame
@@ -43,7 +43,7 @@ class SectionPass:
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
         self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
-        self.grids = GridCache(ctx, programs, pool, buffers)
+        self.grids = GridTextures(ctx, programs, pool, buffers)
         self.vertices = Growing(ctx)
         self._polygons: dict[moderngl.Program, moderngl.VertexArray] = {}
 

@@ -13,23 +13,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import ConvexHull, cKDTree
 
+from engine.scene.camera import spread_directions
+
 __all__ = ["DIRECTIONS", "flat_base", "near_directions", "resting_pose", "symmetry", "touching"]
 
 Points = NDArray[np.float64]
 Density = NDArray[np.float64]
 
-
-def _spread_directions(count: int) -> Points:
-    """(count, 3). Unit vectors spread evenly over the sphere: half of Fibonacci's spiral, then their opposites."""
-    i = np.arange(count // 2) + 0.5
-    z, turn = 1 - 2 * i / count, i * math.pi * (3 - math.sqrt(5))
-    radius = np.sqrt(1 - z * z)
-    half = np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
-    return np.concatenate([half, -half])
-
-
-DIRECTIONS = _spread_directions(2000)
-"""(D, 3). Unit vectors 4.5 degrees apart, about as finely as the up axis of a capture can be told."""
+_UPPER = spread_directions(2000, 0.5)[:1000]
+DIRECTIONS = np.concatenate([_UPPER, -_UPPER])
+"""(D, 3). Unit vectors 4.5 degrees apart, about as finely as the up axis of a capture can be told: those of the upper
+half of the sphere, then their opposites."""
 
 BLUR = math.radians(5)
 """Angle over which densities are blurred: the distance of neighbouring directions."""

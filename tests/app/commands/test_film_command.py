@@ -17,7 +17,7 @@ from app.jobs.film.film_worker import save
 from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Part
-from app.model.film.timeline import FilmLook, Timeline, exploding, moment
+from app.model.film.timeline import FilmLook, SceneKeyframe, Timeline, exploding
 from app.model.project import Project, Viewing, save_project
 from engine.errors import InputError
 from engine.io.picture_file import save_png
@@ -140,7 +140,7 @@ def test_the_film_of_a_project_is_that_of_the_window(
 ) -> None:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
     document = Document(scene=trained).with_cut((Part(Plane.of((1, 0, 0), 0.0)),))
-    film = exploding(moment(0.0, OrbitCamera(azimuth=-90.0, elevation=0.0), (document,)), 1.0)
+    film = exploding(SceneKeyframe.of(0.0, OrbitCamera(azimuth=-90.0, elevation=0.0), (document,)), 1.0)
     look = FilmLook((64, 48), 4.0, "black")
     path = trained.parent / "melon.fruitninja"
     save_project(path, Project((document,), Viewing(film=look), film))

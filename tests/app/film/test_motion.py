@@ -13,12 +13,12 @@ import pytest
 from app.model.film.motion import Film, Keyframe, frame_count, frames, placed
 from app.model.film.presets import EDGE, PARTED, explode, sweep, turntable
 from app.model.film.record import film_record, read_film
-from app.model.pieces import Solid
+from app.model.pieces import PointSample
 from engine.errors import InputError
 from engine.scene.plane import Plane
 
 START = Keyframe(0.0, 33.3, 20.0, 1.1, (Plane.of((0, 1, 1), 0.1),))
-BALL = Solid.of(np.random.default_rng(0).uniform(-1, 1, (2000, 3)))
+BALL = PointSample.of(np.random.default_rng(0).uniform(-1, 1, (2000, 3)))
 
 
 def test_a_turntable_turns_evenly_and_ends_where_it_began() -> None:

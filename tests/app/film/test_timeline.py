@@ -16,16 +16,16 @@ from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.autosave import Autosave
 from app.model.camera_control import OrbitCamera
 from app.model.document import DEFAULT_GAP, Document, Part
-from app.model.film.timeline import FilmLook, Moment, Timeline, exploding, moment, played, sweeping, turning
+from app.model.film.timeline import FilmLook, SceneKeyframe, Timeline, exploding, played, sweeping, turning
 from app.model.history import History
-from app.model.pieces import Solid, sections
+from app.model.pieces import PointSample, sections
 from app.model.project import Project, Viewing, Work
 from app.session.session import Session
 from engine.errors import InputError
 from engine.scene.plane import Plane
 from tests.helpers.solids import ball
 
-BALL = Solid.of(np.random.default_rng(0).uniform(-1, 1, (2000, 3)))
+BALL = PointSample.of(np.random.default_rng(0).uniform(-1, 1, (2000, 3)))
 EYE = OrbitCamera((0.1, 0.2, -0.3), 170.0, 20.0, 3.0, 40.0)
 HALVED = Document(number=3, scene=Path("melon.ply")).with_cut((Part(Plane.of((1, 0, 0), 0.0)),))
 OPENED = HALVED.with_cut((Part(Plane.of((0, 0, 1), 0.25)),), "Plane", "section")
@@ -33,7 +33,9 @@ OPENED = HALVED.with_cut((Part(Plane.of((0, 0, 1), 0.25)),), "Plane", "section")
 
 def test_a_film_passes_through_its_keyframes_by_the_short_way() -> None:
     away = replace(EYE, target=(0.5, 0.2, -0.3), azimuth=-170.0, distance=12.0)
-    film = Timeline((moment(0.0, EYE, (HALVED,)), moment(2.0, away, (replace(HALVED, explode=1.0),))))
+    film = Timeline(
+        (SceneKeyframe.of(0.0, EYE, (HALVED,)), SceneKeyframe.of(2.0, away, (replace(HALVED, explode=1.0),)))
+    )
     at, closed = played(film, (HALVED,), {3: BALL})
     assert not closed
     for time, eye, explode in ((0.0, EYE, 0.0), (1.0, None, 0.5), (2.0, away, 1.0), (9.0, away, 1.0)):
@@ -51,7 +53,7 @@ def test_a_film_passes_through_its_keyframes_by_the_short_way() -> None:
 
 def test_a_plane_comes_from_beside_the_object_and_a_flipped_one_leaves() -> None:
     flipped = HALVED.with_cut((Part(Plane.of((0, 0, -1), -0.25)),), "Plane", "section")
-    film = Timeline(tuple(moment(2.0 * k, EYE, (d,)) for k, d in enumerate((HALVED, OPENED, flipped))))
+    film = Timeline(tuple(SceneKeyframe.of(2.0 * k, EYE, (d,)) for k, d in enumerate((HALVED, OPENED, flipped))))
     at, _ = played(film, (HALVED,), {3: BALL})
 
     def hidden(time: float) -> float:
@@ -66,7 +68,7 @@ def test_a_plane_comes_from_beside_the_object_and_a_flipped_one_leaves() -> None
 
 
 def test_presets_begin_and_end_as_it_is_shown_now() -> None:
-    now = moment(0.0, EYE, (OPENED,))
+    now = SceneKeyframe.of(0.0, EYE, (OPENED,))
     turned, swept, parted = (
         turning(now, 6.0),
         sweeping(now, 6.0, 3, 2, Plane.of((0, 0, 1), 0.25), BALL),
@@ -74,7 +76,7 @@ def test_presets_begin_and_end_as_it_is_shown_now() -> None:
     )
     for film in (turned, swept, parted):
         at, closed = played(film, (OPENED,), {3: BALL})
-        assert closed and film.seconds == 6.0 and film.moments[0].time == 0.0
+        assert closed and film.seconds == 6.0 and film.keyframes[0].time == 0.0
         assert np.isclose((at(0.0)[0].azimuth - at(6.0)[0].azimuth + 180) % 360, 180)
     at, _ = played(turned, (OPENED,), {3: BALL})
     assert np.allclose([(at(t)[0].azimuth - EYE.azimuth) % 360 for t in (1.5, 3.0, 4.5)], (90, 180, 270))
@@ -88,16 +90,18 @@ def test_presets_begin_and_end_as_it_is_shown_now() -> None:
 
 
 def test_keyframes_are_moved_between_their_neighbours_and_replaced() -> None:
-    film = Timeline(tuple(Moment(float(t), EYE) for t in (0, 2, 4)))
-    assert [m.time for m in film.moved(1, 9.0).moments] == [0.0, 3.9, 4.0]
-    assert film.moved(0, -5.0).moments[0].time == 0.0 and film.moved(2, 7.5).seconds == 7.5
-    other = Moment(2.01, replace(EYE, azimuth=1.0))
-    assert film.with_moment(other).moments == (film.moments[0], other, film.moments[2])
-    assert film.at(2.02) == 1 and film.at(2.3) is None and film.without(1).moments == film.moments[::2]
-    # One moment is a still; a film that does not begin at 0 shows its first moment until then.
-    still, _ = played(Timeline(film.moments[:1]), (HALVED,), {3: BALL})
+    film = Timeline(tuple(SceneKeyframe(float(t), EYE) for t in (0, 2, 4)))
+    assert [m.time for m in film.moved(1, 9.0).keyframes] == [0.0, 3.9, 4.0]
+    assert film.moved(0, -5.0).keyframes[0].time == 0.0 and film.moved(2, 7.5).seconds == 7.5
+    other = SceneKeyframe(2.01, replace(EYE, azimuth=1.0))
+    assert film.with_keyframe(other).keyframes == (film.keyframes[0], other, film.keyframes[2])
+    assert film.at(2.02) == 1 and film.at(2.3) is None and film.without(1).keyframes == film.keyframes[::2]
+    # One keyframe is a still; a film that does not begin at 0 shows its first keyframe until then.
+    still, _ = played(Timeline(film.keyframes[:1]), (HALVED,), {3: BALL})
     assert still(0.0)[0] == still(5.0)[0]
-    held, _ = played(Timeline((Moment(1.0, EYE), Moment(2.0, replace(EYE, azimuth=0.0)))), (HALVED,), {3: BALL})
+    held, _ = played(
+        Timeline((SceneKeyframe(1.0, EYE), SceneKeyframe(2.0, replace(EYE, azimuth=0.0)))), (HALVED,), {3: BALL}
+    )
     assert held(0.0)[0] == held(0.9)[0] != held(1.5)[0]
 
 
@@ -106,7 +110,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
     made = Session(history=History(Work((HALVED,))), viewing=Viewing(EYE, "capture"), autosave=Autosave(tmp_path))
     atoms = ball(1 / 8)
-    made.object = LoadedObject(SceneRequest(Path("melon.ply")), atoms=atoms, solid=Solid.of_atoms(atoms))
+    made.object = LoadedObject(SceneRequest(Path("melon.ply")), atoms=atoms, solid=PointSample.of_atoms(atoms))
     return made
 
 
@@ -118,8 +122,8 @@ def test_the_window_keeps_what_is_shown_plays_it_and_leaves_it(session: Session)
     film.add()
     session.viewing = replace(session.viewing, eye=replace(EYE, azimuth=200.0))
     session.change("Explode", replace(session.document, explode=1.0))
-    film.add()  # two seconds after the last moment
-    assert [one.time for one in session.timeline.moments] == [0.0, 2.0] and film.selected == 1
+    film.add()  # two seconds after the last keyframe
+    assert [one.time for one in session.timeline.keyframes] == [0.0, 2.0] and film.selected == 1
     untouched = session.documents
 
     # Between keyframes: drawn as in the film, not editable; one can look around in it and keep what is seen.
@@ -130,10 +134,10 @@ def test_the_window_keeps_what_is_shown_plays_it_and_leaves_it(session: Session)
     assert [m.piece.motion for m in session.members] != apart
     session.viewing = replace(session.viewing, eye=session.viewing.eye.turned(0, 100))
     film.add()
-    assert np.isclose(session.timeline.moments[1].objects[0].explode, 0.5)
-    assert session.timeline.moments[1].eye == session.viewing.eye and session.documents is untouched
+    assert np.isclose(session.timeline.keyframes[1].objects[0].explode, 0.5)
+    assert session.timeline.keyframes[1].eye == session.viewing.eye and session.documents is untouched
     session.undo()
-    assert len(session.timeline.moments) == 2 and film.shown
+    assert len(session.timeline.keyframes) == 2 and film.shown
 
     # Playing stops at the end; an edit of the object shows the object as it is.
     film.play()
@@ -150,19 +154,19 @@ def test_the_window_keeps_what_is_shown_plays_it_and_leaves_it(session: Session)
 
     # A turntable goes on after a full turn.
     film.preset("turntable")
-    assert film.playing and len(session.timeline.moments) == 4
+    assert film.playing and len(session.timeline.keyframes) == 4
     clock += 7.0
     film.tick()
     assert film.playing and np.isclose(film.time, 1.0)
     film.leave()
     session.undo()
-    assert len(session.timeline.moments) == 2
+    assert len(session.timeline.keyframes) == 2
     film.selected = 0
     film.remove()
-    assert len(session.timeline.moments) == 1 and not film.ready
+    assert len(session.timeline.keyframes) == 1 and not film.ready
 
 
-def test_a_closed_film_of_which_undo_leaves_one_moment_stops(session: Session) -> None:
+def test_a_closed_film_of_which_undo_leaves_one_keyframe_stops(session: Session) -> None:
     film, clock = session.film, 100.0
     film.clock = lambda: clock
     film.add()
@@ -179,7 +183,9 @@ def test_a_closed_film_of_which_undo_leaves_one_moment_stops(session: Session) -
 
 def test_a_film_is_saved_as_the_window_shows_it(session: Session, tmp_path: Path) -> None:
     project = Project(
-        (HALVED,), Viewing(), exploding(moment(0.0, OrbitCamera(azimuth=-90.0, elevation=0.0), (HALVED,)), 1.0)
+        (HALVED,),
+        Viewing(),
+        exploding(SceneKeyframe.of(0.0, OrbitCamera(azimuth=-90.0, elevation=0.0), (HALVED,)), 1.0),
     )
     look, stop = FilmLook((64, 48), 4.0), Event()
 

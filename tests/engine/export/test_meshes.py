@@ -18,6 +18,7 @@ import lib3mf
 from engine.errors import InputError
 from engine.export.body import body_of
 from engine.export.colours import Colours
+from engine.export.kinds import KINDS
 from engine.export.meshes.cutting import MeshOptions
 from engine.export.meshes.files import save_mesh
 from engine.export.meshes.textured import TexturedPieces, textured_pieces
@@ -69,7 +70,7 @@ def test_the_body_of_a_ball_is_the_ball(body: Body) -> None:
     assert body.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.02)  # volume of lattice cells
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".obj", ".3mf"])
+@pytest.mark.parametrize("suffix", KINDS["mesh"].suffixes)
 def test_pieces_are_closed_and_add_up_and_their_faces_are_flat(
     suffix: str, body: Body, made: TexturedPieces, tmp_path: Path
 ) -> None:

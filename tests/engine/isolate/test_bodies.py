@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from engine.io.load import load
 from engine.io.splats.ply import write_ply
 from engine.isolate.bodies import find_bodies
 from engine.isolate.selection import removed, split_bodies
+from engine.scene.camera import spread_directions
 from engine.scene.gaussians import Gaussians
 from tests.helpers.solids import round_gaussians, three_samples
 from tests.paths import SAMPLES, SHARED
@@ -26,9 +26,7 @@ Points = NDArray[np.float64]
 
 def ball(count: int, radius: float, centre: tuple[float, float, float]) -> Points:
     """Points (count, 3) evenly on a sphere."""
-    height = (np.arange(count) + 0.5) / (count / 2) - 1
-    turn, across = np.arange(count) * np.pi * (3 - math.sqrt(5)), np.sqrt(1 - height**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), height], 1) * radius + centre
+    return spread_directions(count) * radius + centre
 
 
 def gaussians(*parts: Points, scale: float = 0.03) -> Gaussians:

@@ -33,7 +33,7 @@ from engine.isolate.selection import (
     keep_only,
     removed,
 )
-from engine.scene.camera import orbit
+from engine.scene.camera import orbit, spread_directions
 from engine.scene.gaussians import Gaussians
 from engine.scene.plane import Plane
 from tests.helpers.solids import round_gaussians
@@ -100,9 +100,7 @@ def test_steps_follow_one_another_and_selections_look_at_what_is_left() -> None:
 
 
 def test_a_selection_grows_over_its_blob_and_not_into_the_next() -> None:
-    height = (np.arange(3000) + 0.5) / 1500 - 1
-    turn, across = np.arange(3000) * np.pi * (3 - math.sqrt(5)), np.sqrt(1 - height**2)
-    ball = np.stack([across * np.cos(turn), across * np.sin(turn), height], 1)
+    ball = spread_directions(3000)
     # The balls are 0.5 apart; on each, neighbours are 0.06 apart.
     scene = round_gaussians(np.concatenate([ball, ball + np.array((2.5, 0, 0))]))
     seed = Step("add", Sphere((-1.0, 0.0, 0.0), 0.2))

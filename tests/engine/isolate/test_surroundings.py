@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from engine.io.load import load
 from engine.isolate.selection import NO_FLOOR, NO_SURROUNDINGS, Sphere, isolated, removed, without_surroundings
-from engine.isolate.surroundings import _directions, _nearest_directions, object_ball
+from engine.isolate.surroundings import _nearest_directions, directions_of_view, object_ball
 from engine.scene.gaussians import Gaussians
 from engine.solid.up_axis.detect import detect_up
 from tests.helpers.solids import joined, round_gaussians
@@ -172,7 +172,7 @@ def test_captures_of_things_alone_have_none() -> None:
 
 
 def test_the_nearest_direction_is_the_one_of_a_tree() -> None:
-    directions = _directions()
+    directions = directions_of_view()
     points = np.random.default_rng(5).normal(size=(20_000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     points = np.concatenate([points, directions, np.eye(3), -np.eye(3)])

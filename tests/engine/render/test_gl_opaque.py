@@ -15,9 +15,10 @@ from engine.render.cpu.kernel_field import KernelField
 from engine.render.gl import GLMissing, Renderer
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.camera import Camera, look_at, section
+from engine.scene.image import psnr
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from tests.helpers.gl_scenes import around, draw, psnr, tight_ball
+from tests.helpers.gl_scenes import around, draw, tight_ball
 from tests.helpers.solids import NO_SURFACE, ball, rows_of, scatter, with_leaf
 from tests.reference.opaque import kernel_field, reference
 

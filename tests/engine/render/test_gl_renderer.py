@@ -19,9 +19,10 @@ from engine.render.gl.classic import PORTION
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
+from engine.scene.image import psnr
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from tests.helpers.gl_scenes import around, brush_case, draw, psnr, tight_ball
+from tests.helpers.gl_scenes import around, brush_case, draw, tight_ball
 from tests.helpers.solids import ball
 from tests.paths import SHARED
 from tests.reference.classic import picture as classic_picture

@@ -13,10 +13,10 @@ from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.opaque import render, render_pieces
 from engine.scene.atoms import Atoms, SurfaceAtoms
 from engine.scene.camera import Camera, look_at, orbit, section
+from engine.scene.image import psnr
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import cores, use_cores
-from tests.helpers.gl_scenes import psnr
 from tests.helpers.solids import NO_INTERIOR, ball, rows_of, scatter, unturned, with_leaf
 from tests.reference.opaque import kernel_field, reference
 

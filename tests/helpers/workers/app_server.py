@@ -15,7 +15,7 @@ from importlib import import_module
 
 from app.jobs import scene_worker
 from app.jobs.warmup import load_kernels
-from tests import quick_scene_worker
+from tests.helpers.workers import quick_scene_worker
 from tests.helpers.workers.forks import Forks
 
 SCRIPTS = ("app_film_steps", "app_isolate_steps", "app_scripts", "app_steps", "hard_use.steps")

@@ -7,8 +7,9 @@ import pytest
 import torch
 from scipy import ndimage
 
+from engine.scene.image import psnr
 from training.families import Family
-from training.optimise.losses import psnr, reconstruction, ssim
+from training.optimise.losses import reconstruction, ssim
 from training.optimise.smoothing import smooth
 from training.priors.prior import Condition
 from training.priors.sds import distill

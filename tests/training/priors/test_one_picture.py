@@ -1,4 +1,4 @@
-"""A single picture: its own plane shows it, texture is as long in every cut, sheets run through, chambers end."""
+"""A single picture: its own plane shows it, texture is as long in every cut, membranes run through, chambers end."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_texture_is_no_lines(alone: InsideOf, kind: Kind) -> None:
         assert abs(np.corrcoef(cut[calm].mean(-1), own[calm].mean(-1))[0, 1]) < 0.3
 
 
-def test_a_faint_sheet_runs_through(alone: InsideOf) -> None:
+def test_a_faint_membrane_runs_through(alone: InsideOf) -> None:
     """Radial lines in a horizontal picture, weaker than any seed, keep their places at other heights."""
     inside = alone("horizontal", True)
     angles = np.arange(360) / 180 * np.pi

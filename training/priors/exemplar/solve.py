@@ -21,7 +21,7 @@ from engine.scene.inside import Inside
 from engine.threads import side_by_side
 from training.families import Family
 from training.priors.exemplar.frames import Frame, ScaledPicture, Space, View, make_space, scale_to_voxels
-from training.priors.exemplar.layering.core_line import extract_core
+from training.priors.exemplar.layering.core_shell import extract_core_shell
 from training.priors.exemplar.layering.correction import RING_SAMPLES, Correction
 from training.priors.exemplar.layering.decompose import Layers, decompose
 from training.priors.exemplar.layering.extrusion import Extrusion
@@ -40,7 +40,7 @@ from training.priors.exemplar.quilting.agreement import show_one_thing
 from training.priors.exemplar.quilting.disc import BallMap, Disc
 from training.priors.exemplar.quilting.inside import FILM, QuiltInside
 from training.priors.exemplar.quilting.labels import made_of_grains
-from training.priors.exemplar.quilting.persistence import find_sheets
+from training.priors.exemplar.quilting.persistence import find_membranes
 from training.priors.exemplar.quilting.quilt import make_quilt
 from training.priors.exemplar.quilting.things.cores import show_core_that_ends
 from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS
@@ -142,17 +142,17 @@ def _layers_of(view: View, discs: list[Disc]) -> list[Layers]:
     """The layers of a view's pictures. `discs`: the same pictures as discs, if the body is round."""
     if view.kind != POLAR or not discs:
         return [decompose(scaled, view.kind) for scaled in view.pictures]
-    return [decompose(s, POLAR, _sheets_of(d, s)) for s, d in zip(view.pictures, discs, strict=True)]
+    return [decompose(s, POLAR, _membranes_of(d, s)) for s, d in zip(view.pictures, discs, strict=True)]
 
 
-def _sheets_of(disc: Disc, scaled: ScaledPicture) -> NDArray[np.float32]:
-    """(H, W). How surely each pixel of a horizontal picture, which `disc` shows too, belongs to a sheet. Range
+def _membranes_of(disc: Disc, scaled: ScaledPicture) -> NDArray[np.float32]:
+    """(H, W). How surely each pixel of a horizontal picture, which `disc` shows too, belongs to a membrane. Range
     [0, 1]."""
     rows, columns = np.indices(scaled.depth.shape) / OVER
     right, high = columns - scaled.middle[0], scaled.middle[1] - rows
     angle = np.arctan2(high, right)
     r = np.hypot(right, high) / scaled.rim(angle)
-    found = find_sheets(disc, walls=False)  # wider ones are structures of their own
+    found = find_membranes(disc, walls=False)  # wider ones are structures of their own
     return Disc(np.repeat(found[..., None], 3, -1)).read(r * np.cos(angle), r * np.sin(angle))[..., 0]
 
 
@@ -239,8 +239,8 @@ def _lay_course(
     core, height_mask = None, None
     if radial is not None:
         if view.kind == POLAR:
-            others = [extract_core(parts, layers[radial])[1] for parts in layers[carrier][1:]]
-            core, first, layers[radial] = extract_core(layers[carrier][0], layers[radial])
+            others = [extract_core_shell(parts, layers[radial])[1] for parts in layers[carrier][1:]]
+            core, first, layers[radial] = extract_core_shell(layers[carrier][0], layers[radial])
             layers[carrier] = [first, *others]
         height_mask = make_height_mask(layers[carrier][0], layers[radial], rng)
     main = layers[carrier][0]

@@ -140,4 +140,4 @@ def test_grains_of_one_picture_alone_are_as_tall_as_wide(
         line = starts[:, None] + np.arange(-20, 20)[:, None] * 0.01 * direction
         dark = volume.at(line)[..., 1] < 0.22  # only the middles of grains, as their rims touch
         lengths.append(dark.sum() / (dark[:, 0].sum() + (dark[:, 1:] > dark[:, :-1]).sum()))
-    assert max(lengths) < 1.2 * min(lengths)  # 1.3 and 1.5 if layers continued
+    assert max(lengths) < 1.2 * min(lengths)  # 1.10 and 1.12; if layers continued, 1.12 and 1.32

@@ -1,4 +1,4 @@
-"""The kinds that insides report, against faces of known rind, flesh, seeds and sheets."""
+"""The kinds that insides report, against faces of known rind, flesh, seeds and membranes."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from training.priors.exemplar import ExemplarPrior
 from training.priors.exemplar.quilting import quilt
 
 FLESH, PALE, SEED, RIND = np.array([0.9, 0.5, 0.2]), [1.0, 0.9, 0.7], [0.15, 0.1, 0.05], [0.2, 0.6, 0.2]
-SIZE, SHEETS = 300, 7
+SIZE, MEMBRANES = 300, 7
 
 
-def truth(x: NDArray[np.floating], y: NDArray[np.floating], sheets: bool) -> NDArray[np.int64]:
-    """Kinds at places of a face of radius 1: a rind a tenth thick, seeds in a ring and, between the seeds, sheets."""
-    radius, turn = np.hypot(x, y), np.arctan2(y, x) * SHEETS / (2 * np.pi)
+def truth(x: NDArray[np.floating], y: NDArray[np.floating], membranes: bool) -> NDArray[np.int64]:
+    """Kinds at places of a face of radius 1: a rind a tenth thick, seeds in a ring and membranes between them."""
+    radius, turn = np.hypot(x, y), np.arctan2(y, x) * MEMBRANES / (2 * np.pi)
     kind = np.full(x.shape, int(Kind.INSIDE))
-    if sheets:
-        off = np.abs(turn - np.round(turn)) * 2 * np.pi / SHEETS * radius
+    if membranes:
+        off = np.abs(turn - np.round(turn)) * 2 * np.pi / MEMBRANES * radius
         kind[(off < 0.022) & (radius > 0.08)] = Kind.STRUCTURE
-    between = np.abs(turn - np.floor(turn) - 0.5) * 2 * np.pi / SHEETS * radius
+    between = np.abs(turn - np.floor(turn) - 0.5) * 2 * np.pi / MEMBRANES * radius
     kind[np.hypot(radius - 0.6, between) < 0.06] = Kind.THING
     kind[radius > 0.9] = Kind.RIND
     return kind
 
 
-def face(sheets: bool, light: float = 1.0) -> NDArray[np.float64]:
+def face(membranes: bool, light: float = 1.0) -> NDArray[np.float64]:
     """That face as a picture on white, with a margin."""
     y, x = ((np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1) / 0.9
     colours = np.array([np.ones(3), FLESH, RIND, SEED, PALE]) * np.array([1, *4 * [light]])[:, None]
-    return colours[np.where(np.hypot(x, -y) < 1, truth(x, -y, sheets), 0)]
+    return colours[np.where(np.hypot(x, -y) < 1, truth(x, -y, membranes), 0)]
 
 
 @pytest.fixture(scope="module", params=["quilted", "layered"])
 def inside(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Inside]:
-    """The inside of a ball, from the horizontal face and, if quilted, a radial one without sheets in another light."""
+    """The inside of a ball, from the horizontal face and, if quilted, a radial one without membranes in other light."""
     folder = tmp_path_factory.mktemp("faces")
     families = [Family("horizontal", 8, (save(folder / "h.png", face(True)),))]
     if request.param == "quilted":

@@ -30,11 +30,11 @@ from training.priors.exemplar.quilting.disc import (
     match_light,
 )
 from training.priors.exemplar.quilting.inside import QuiltInside
-from training.priors.exemplar.quilting.persistence import find_sheets
+from training.priors.exemplar.quilting.persistence import find_membranes
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 from training.priors.exemplar.quilting.texture import FINE, take_apart
 
-FLESH, SHEET, SEED = np.array([0.9, 0.5, 0.2]), np.array([1.0, 0.9, 0.7]), np.array([0.15, 0.1, 0.05])
+FLESH, MEMBRANE, SEED = np.array([0.9, 0.5, 0.2]), np.array([1.0, 0.9, 0.7]), np.array([0.15, 0.1, 0.05])
 PAIRS = [("apple_h1", "apple_v1"), ("pomegranate_h1", "pomegranate_v4")]
 
 
@@ -56,16 +56,16 @@ def quilt_of(pair: tuple[str, str]) -> Quilt:
 
 
 def segmented(seeds: bool, light: float = 1.0) -> Disc:
-    """A face with nine sheets from core to rind and, between the sheets, seeds."""
+    """A face with nine membranes from core to rind and, between the membranes, seeds."""
     x, y = disc_grid()
     radius, angle = np.hypot(x, y), np.arctan2(y, x) * 9 / (2 * np.pi)
     rgb = np.broadcast_to(FLESH, (*x.shape, 3)).copy()
     off = np.abs(angle - np.round(angle)) * 2 * np.pi / 9 * radius
-    rgb[(off < 0.02) & (radius < 0.92)] = SHEET
+    rgb[(off < 0.02) & (radius < 0.92)] = MEMBRANE
     between = np.abs(angle - np.floor(angle) - 0.5) * 2 * np.pi / 9 * radius
     if seeds:
         rgb[np.hypot((radius - 0.55) / 1.5, between) < 0.05] = SEED
-    rgb[radius > 0.94] = SHEET
+    rgb[radius > 0.94] = MEMBRANE
     return Disc((rgb * light).astype(np.float32))
 
 
@@ -134,10 +134,10 @@ def test_tones_make_no_step_at_seams(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.abs(made.read(near) - shown).max() < 0.015
 
 
-def test_sheets_run_through_and_seeds_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(quilt, "LEVELS", (32, 64))  # the sheets are a twenty-fifth of a radius thick
+def test_membranes_run_through_and_seeds_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quilt, "LEVELS", (32, 64))  # the membranes are a twenty-fifth of a radius thick
     x, y = disc_grid()
-    plain = np.where((np.hypot(x, y) > 0.94)[..., None], SHEET, FLESH) * [0.8, 0.9, 1.0]  # in another light
+    plain = np.where((np.hypot(x, y) > 0.94)[..., None], MEMBRANE, FLESH) * [0.8, 0.9, 1.0]  # in another light
     made = quilted(segmented(seeds=True), Disc(plain.astype(np.float32)))
     dark, pale = [], []
     for height in (0.0, 0.3, -0.4):
@@ -254,13 +254,13 @@ def test_a_core_that_ends_is_a_solid_and_one_that_runs_through_a_layer(
     assert isinstance(made, QuiltInside) == is_quilted
 
 
-def test_what_is_wide_is_no_sheet() -> None:
+def test_what_is_wide_is_no_membrane() -> None:
     x, y = disc_grid()
     inside = (np.hypot(x, y) > 0.1) & (np.hypot(x, y) < 0.94)
     for half_width, least, most in ((0.02, 0.5, 1.0), (0.06, 0.5, 1.0), (0.12, 0.0, 0.1)):
         line = inside & (np.abs(y) < half_width) & (x > 0)
-        face = Disc(np.where(line[..., None], SHEET, FLESH).astype(np.float32))
-        held = find_sheets(face, walls=True)
+        face = Disc(np.where(line[..., None], MEMBRANE, FLESH).astype(np.float32))
+        held = find_membranes(face, walls=True)
         middle = (np.abs(y) < 0.01) & (x > 0.3) & (x < 0.8)
         assert least <= held[middle].mean() <= most
 
@@ -368,14 +368,14 @@ def test_closed_things_are_as_many_as_the_pictures_show() -> None:
 
 
 def test_even_tones_keep_details() -> None:
-    """Light from one side is removed; seeds, sheets and a core line stay as strong as before."""
+    """Light from one side is removed; seeds, membranes and a core line stay as strong as before."""
     face = segmented(seeds=True)
     x, y = disc_grid()
     inside = np.hypot(x, y) < 0.9
     lit = replace(face, rgb=(face.rgb * (0.9 + 0.1 * x)[..., None]).astype(np.float32))
     wrong, even = (np.abs(d.rgb - 0.9 * face.rgb)[inside].mean() for d in (lit, even_around(lit)))
     assert even < 0.3 * wrong
-    line = replace(face, rgb=np.where((np.abs(x) < 0.03)[..., None], SHEET, FLESH * (0.9 + 0.1 * x)[..., None]))
+    line = replace(face, rgb=np.where((np.abs(x) < 0.03)[..., None], MEMBRANE, FLESH * (0.9 + 0.1 * x)[..., None]))
     made = even_sides(replace(line, rgb=line.rgb.astype(np.float32))).rgb
     assert np.abs(made - made[::-1])[inside].mean() < 0.3 * np.abs(line.rgb - line.rgb[::-1])[inside].mean()
     contrast = [

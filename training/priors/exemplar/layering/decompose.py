@@ -36,8 +36,8 @@ MAX_DETAIL_LENGTH = 0.2
 
 MAX_ELONGATION = 4.0
 
-LEAST_SHEET = 0.3
-"""Least surety at which a pixel of a sheet has the sheet's own colour, not that of its surroundings showing through."""
+LEAST_MEMBRANE = 0.3
+"""Least surety at which a pixel of a membrane has the membrane's colour, without that of its surroundings."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,10 @@ class Layers:
     """Standard deviation of the texture, and of its slope along the directions a and b, per cell."""
 
 
-def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | None = None) -> Layers:
+def decompose(scaled: ScaledPicture, kind: Frame, membranes: NDArray[np.float32] | None = None) -> Layers:
     """Splits a picture into layers. Details and structures both contrast with the ground; details are compact.
 
-    `sheets` (H, W): how surely each pixel shows a thin sheet, which is a structure however faint it is. Range [0, 1].
+    `membranes` (H, W): how surely each pixel shows a membrane, which is a structure however faint it is. Range [0, 1].
     """
     rind = rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=kind != RADIAL)
     core = scaled.depth > rind
@@ -132,8 +132,8 @@ def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | 
         compact &= ~edges
     runs = long | edges
     structure = opacity * ndimage.binary_dilation(runs[parts], iterations=1) if count else np.zeros_like(contrast)
-    if sheets is not None:
-        structure = np.maximum(structure, sheets * core)
+    if membranes is not None:
+        structure = np.maximum(structure, membranes * core)
     reach, owner = ndimage.distance_transform_edt(~compact[parts], return_indices=True)
     labels = np.where(reach <= 2.5, (parts * compact[parts])[owner[0], owner[1]], 0).astype(np.int32)
     detail = opacity * (labels > 0) * (structure < 0.5)
@@ -148,15 +148,15 @@ def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | 
     texture = _fill_mirrored(picture - ground, clean)
     # Thin structures are smoothed by half a voxel, or cuts along them would show the grid; their colours extend as far.
     solid = structure > 0.7
-    if sheets is not None:
-        solid |= (sheets > LEAST_SHEET) & core
+    if membranes is not None:
+        solid |= (membranes > LEAST_MEMBRANE) & core
     nearest = ndimage.distance_transform_edt(~solid, return_distances=False, return_indices=True)
     thin = ndimage.gaussian_filter(structure, 0.6 * OVER)
     heights = np.full(core.shape, RUNS_THROUGH, np.float32)
     if kind == POLAR:
         heights = closed_heights(structure, core, (scaled.middle[1] * OVER, scaled.middle[0] * OVER))
-        if sheets is not None:
-            heights[ndimage.grey_dilation(sheets, size=(5, 5)) > 0] = RUNS_THROUGH
+        if membranes is not None:
+            heights[ndimage.grey_dilation(membranes, size=(5, 5)) > 0] = RUNS_THROUGH
     return Layers(
         scaled,
         rind,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from engine.scene.inside import InsideRecord
 from training.priors.exemplar.layering.closed import RUNS_THROUGH
-from training.priors.exemplar.layering.core_line import Core
+from training.priors.exemplar.layering.core_shell import CoreShell
 from training.priors.exemplar.layering.correction import Correction
 from training.priors.exemplar.layering.grain import SWING, Grain, Strata
 from training.priors.exemplar.layering.height_mask import HeightMask
@@ -44,8 +44,8 @@ class Extrusion:
     """Seed of the texture's layers and of the structures' waves."""
     height_mask: HeightMask | None
     """Where its structures end, by radial pictures."""
-    core: Core | None
-    """The line around a core, drawn as one shell."""
+    core: CoreShell | None
+    """The shell around a core, of which the pictures show lines."""
     correction: Correction | None = None
     """Correction by radial pictures."""
 
@@ -171,7 +171,7 @@ class Extrusion:
         own = sheet.read(x, y, TEXTURE)
         return beside_own(read_layers(height, read), own, self._above_own(places) / grain.thickness)
 
-    def _draw_core_line(self, rgb: NDArray[np.float32], places: Places, core: Core) -> None:
+    def _draw_core_line(self, rgb: NDArray[np.float32], places: Places, core: CoreShell) -> None:
         """Draws the line around a core into colours (M, 3), in place."""
         angle = places.angle
         away, _, ring = core.shell(places, self.shape.widest, angle)
@@ -179,7 +179,7 @@ class Extrusion:
         x, y = self.sheet.middle[0] + r * np.cos(angle), self.sheet.middle[1] - r * np.sin(angle)
         rgb += core.line_at(x, y) * (self.sheet.read(x, y, PICTURE) - rgb)
 
-    def _bent(self, places: Places, core: Core, angle: NDArray[np.floating]) -> NDArray[np.floating]:
+    def _bent(self, places: Places, core: CoreShell, angle: NDArray[np.floating]) -> NDArray[np.floating]:
         """(M,). The share of the rim at which the picture shows the ground at an equal distance from the core."""
         away, shell, ring = core.shell(places, self.shape.widest, angle)
         at = ring / self.sheet.rim(angle)
@@ -204,7 +204,7 @@ class Extrusion:
             Grain.restored(record.part("grain")),
             record.count("seed", MOST_SEED),
             HeightMask.restored(record.part("mask"), sheet.labels.shape) if record.has("mask") else None,
-            Core.restored(record.part("core"), sheet.labels.shape) if record.has("core") else None,
+            CoreShell.restored(record.part("core"), sheet.labels.shape) if record.has("core") else None,
             Correction.restored(record.part("correction")) if record.has("correction") else None,
         )
 

@@ -1,4 +1,4 @@
-"""What a quilt's labels cost and show at the cells of a grid, and how much of grains there should be."""
+"""What a quilt's labels cost and show at the cells of a grid, and how many grains there should be."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GONE_COST = 4.0
 to close over and must end at a seam."""
 
 REGIONS = (10, 20)
-"""Bins of radius and height, blurred by their width, in which the pictures tell how much of grains there is. One gain
+"""Bins of radius and height, blurred by their width, in which the pictures tell how much grains cover there. One gain
 for all places heaps them where the pictures have most."""
 
 UNSEEN_COST, UNSEEN_MOST = 2.0, 0.1
@@ -40,8 +40,8 @@ right beside it, and what is thick there is a bar in cuts across it."""
 NEARBY = 0.035
 """Step in radii of the 5x5 points that count as nearby: two fruits have their seeds a tenth of a radius apart."""
 
-SHEET_COST = 6.0
-"""Cost of cutting off a sheet or of growing one where none starts: more than any seam."""
+MEMBRANE_COST = 6.0
+"""Cost of cutting off a membrane or of growing one where none starts: more than any seam."""
 
 RIND_COST = 1.0
 """Cost of random chunks in the rind, where own pictures continue one another."""
@@ -122,7 +122,7 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
     read = side_by_side(lambda label: label.chunks.places(ball), labels)
     out = Cells(costs, gains, closed, np.empty((*shape, 3), np.float32), read)
     own = [(label, places) for label, places in zip(labels, read, strict=True) if label.is_own and label.is_horizontal]
-    sheets_here = [read_maps(places, [s.sheets for s in label.sources]) for label, places in own]
+    membranes_here = [read_maps(places, [s.membranes for s in label.sources]) for label, places in own]
 
     def weigh(n: int) -> None:
         label, places = labels[n], read[n]
@@ -134,12 +134,12 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
         gain = np.maximum(there - gone, 0)
         closed[:, n] = gain
-        surprise, sheet = np.zeros(len(cost), np.float32), np.zeros(len(cost), np.float32)
+        surprise, membrane = np.zeros(len(cost), np.float32), np.zeros(len(cost), np.float32)
         if label.is_horizontal:
-            sheet = read_maps(places, [s.sheets for s in label.sources])
-            if along:  # a sheet may well lie beside a radial cut
+            membrane = read_maps(places, [s.membranes for s in label.sources])
+            if along:  # a membrane may well lie beside a radial cut
                 seen = read_discs(places, [s.blurred for s in label.sources])
-                surprise = np.minimum(_unseen(seen, along, ball) / UNSEEN_MOST, 1) * (1 - sheet)
+                surprise = np.minimum(_unseen(seen, along, ball) / UNSEEN_MOST, 1) * (1 - membrane)
                 gain = gain * (1 - surprise)
         if label.is_own:
             band = OWN_BAND * np.exp(0.4 * smooth_noise(ball, 0.3, np.random.default_rng([seed, 2, n])))
@@ -154,12 +154,13 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
         else:
             cost = cost + RIND_COST * ball.rind
         if label.is_horizontal:
-            cost = cost + GONE_COST * left * (1 - sheet) + (-SHEET_COST if label.is_own else SHEET_COST) * sheet
+            membrane_cost = -MEMBRANE_COST if label.is_own else MEMBRANE_COST
+            cost = cost + GONE_COST * left * (1 - membrane) + membrane_cost * membrane
             cost = cost + UNSEEN_COST * surprise
         else:
             cost = cost + GONE_COST * left + SECTOR_COST
-            for sheet in sheets_here:
-                cost = cost + 0.5 * SHEET_COST * sheet
+            for membrane in membranes_here:
+                cost = cost + 0.5 * MEMBRANE_COST * membrane
         costs[:, n], gains[:, n] = cost, gain
 
     side_by_side(weigh, range(len(labels)))

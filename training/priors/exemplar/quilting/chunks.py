@@ -59,8 +59,8 @@ For sectors this goes by the square, as a stem that is shifted is cut into chips
 OWN_AZIMUTHS = 3
 """Largest number of radial pictures with a plane of their own; more would leave no room for variety near the axis."""
 
-SHEET_HOLD = 0.04
-"""Radii around a sheet within which its picture does not drift: a sheet runs straight through (`persistence`), and what
+MEMBRANE_HOLD = 0.04
+"""Radii around a membrane within which its picture does not drift: it runs straight through (`persistence`), and what
 lies beside it is not folded over it."""
 
 DRIFT_ONSET = 0.05
@@ -149,14 +149,14 @@ class Chunks(Protocol):
 
 
 class OwnHeight:
-    """The first horizontal picture as it was taken, at one height; away from there it drifts, except for its sheets."""
+    """The first horizontal picture as it was taken, at one height; away from there it drifts, but for its membranes."""
 
-    def __init__(self, height: float, sheets: NDArray[np.float32], rng: np.random.Generator) -> None:
-        """`sheets` (P, P): how surely each place of the picture shows a sheet."""
+    def __init__(self, height: float, membranes: NDArray[np.float32], rng: np.random.Generator) -> None:
+        """`membranes` (P, P): how surely each place of the picture shows a membrane."""
         self.height = np.float32(height)
-        pixels = len(sheets) / (2 * REACH)
-        wide = ndimage.maximum_filter(sheets, int(2 * SHEET_HOLD * pixels) | 1)
-        self.held = ndimage.gaussian_filter(wide, SHEET_HOLD * pixels)
+        pixels = len(membranes) / (2 * REACH)
+        wide = ndimage.maximum_filter(membranes, int(2 * MEMBRANE_HOLD * pixels) | 1)
+        self.held = ndimage.gaussian_filter(wide, MEMBRANE_HOLD * pixels)
         self.drift = Noise(DRIFT_LENGTHS, 2, rng)
 
     def distance(self, ball: Ball) -> NDArray[np.float32]:

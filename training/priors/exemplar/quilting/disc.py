@@ -136,7 +136,7 @@ class Disc:
 
 TONE_ANGLE, TONE_LENGTH = 0.4, 0.15
 """Standard deviations in radians around, and in radii, of the blur that separates tones from details: wider than
-seeds, sheets and the arms of a star. With even tones the patches of photographs are 1 to 11 % nearer to unseen ones
+seeds, membranes and the arms of a star. With even tones the patches of photographs are 1 to 11 % nearer to unseen ones
 (three seeds, three pairs)."""
 
 

@@ -1,7 +1,7 @@
 """What is at places of a quilt, as far as the picture that is shown there tells.
 
-A place in a picture's rind is rind, wherever the picture is shown; one in a sheet is a structure that runs through. A
-thing stands out from the picture and, by the law of shape (`relief`), ends at a distance from the picture's plane; so
+A place in a picture's rind is rind, wherever the picture is shown; one in a membrane is a structure that runs through.
+A thing stands out from the picture and, by the law of shape (`relief`), ends at a distance from the picture's plane; so
 do grains, in their pictures and as they are laid.
 """
 
@@ -19,8 +19,8 @@ from training.priors.exemplar.quilting.quilt import Quilt
 
 __all__ = ["QuiltKinds"]
 
-LEAST_SHEET = 0.3
-"""Least surety of a sheet at which a place belongs to it, as for layers."""
+LEAST_MEMBRANE = 0.3
+"""Least surety of a membrane at which a place belongs to it, as for layers."""
 
 COVERED = 0.5
 """Least fraction of a place that a grain, a seed or a core covers for the place to belong to it."""
@@ -32,8 +32,8 @@ class _Face:
 
     rind: float
     """Depth of the rind in radii."""
-    sheets: NDArray[np.float32]
-    """(P, P). How surely each place shows a sheet."""
+    membranes: NDArray[np.float32]
+    """(P, P). How surely each place shows a membrane."""
     until: NDArray[np.float32]
     """(P, P). Distance in radii from its plane up to which each pixel shows a thing; below 0 where there is none."""
 
@@ -45,13 +45,13 @@ class _Face:
         for (u, v), radius in zip(grains.places, grains.radii, strict=True):
             away = np.square(x - u) + np.square(y - v)
             until = np.maximum(until, np.sqrt(np.maximum(radius * radius - away, 0)) - (away >= radius * radius))
-        return cls(source.rind, source.sheets, until.astype(np.float32))
+        return cls(source.rind, source.membranes, until.astype(np.float32))
 
     def at(self, x: NDArray[np.floating], y: NDArray[np.floating], distance: NDArray[np.floating]) -> NDArray[np.uint8]:
         """(M,). The kinds at places (M,), (M,) and distances (M,) from the plane."""
         at = np.clip(np.round(to_pixels(x, y, DISC_PIXELS)), 0, DISC_PIXELS - 1).astype(int)
         out = np.where(distance <= self.until[at[0], at[1]], Kind.THING, Kind.INSIDE).astype(np.uint8)
-        out[read_map(self.sheets, x, y) > LEAST_SHEET] = Kind.STRUCTURE
+        out[read_map(self.membranes, x, y) > LEAST_MEMBRANE] = Kind.STRUCTURE
         out[np.hypot(x, y) > 1 - self.rind] = Kind.RIND
         return out
 

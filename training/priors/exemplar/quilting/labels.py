@@ -21,7 +21,7 @@ from training.priors.exemplar.quilting.disc import (
     ring_medians,
     smooth_disc,
 )
-from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
+from training.priors.exemplar.quilting.persistence import Persistence, find_membranes
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.rinds import goes_inwards, rind_of
 from training.priors.exemplar.quilting.texture import FINE, WIDTH, Parts, take_apart
@@ -38,8 +38,8 @@ __all__ = ["Label", "Source", "blended_tones", "distance_across", "made_of_grain
 FINE_RINGS, LARGEST = 64, 0.16
 """Number of rings from whose median colours things stand out, and the largest half width of things in radii."""
 
-FAINT_SHEET = 0.05
-"""Least surety of a sheet at which a place is not taken for texture: faint membranes would be scattered."""
+FAINT_MEMBRANE = 0.05
+"""Least surety of a membrane at which a place is not taken for texture: faint membranes would be scattered."""
 
 BLUR = 0.02
 """Standard deviation in radii of the blur under which colours are looked for nearby: texture does not count."""
@@ -76,8 +76,8 @@ class Source:
     tones: Disc
     """Tones of `even` without closed things: those of what is left where they end."""
     persistence: Persistence
-    sheets: NDArray[np.float32]
-    """(P, P). How surely each place shows a sheet; 0 for radial pictures."""
+    membranes: NDArray[np.float32]
+    """(P, P). How surely each place shows a membrane; 0 for radial pictures."""
     rind: float
     """Depth in radii of the layers along the rim."""
     grains: Grains
@@ -138,7 +138,7 @@ class Source:
             smooth_disc(disc, BLUR),
             smooth_disc(Disc(filled_in(even.rgb, relief.closed_until(rind) >= 0)), TONE),
             persistence,
-            find_sheets(disc, walls=not has_grains) if is_horizontal else nothing,
+            find_membranes(disc, walls=not has_grains) if is_horizontal else nothing,
             rind,
             grains,
             Seeds.none() if has_grains else Seeds.of(relief, is_horizontal, rind),
@@ -148,13 +148,13 @@ class Source:
         )
 
     def with_core(self, core: Core | Column) -> Source:
-        """The picture taken apart anew, with all of its things known: seeds, sheets and this core, if there is one. A
-        core does not affect the tones. A picture of grains has no core, and stays as it is."""
+        """The picture taken apart anew, with all of its things known: seeds, membranes and this core, if there is one.
+        A core does not affect the tones. A picture of grains has no core, and stays as it is."""
         if len(self.grains.radii):
             return self
         has_core = bool(core.region.any())
         even = evened(self.disc, self.is_horizontal, core.region) if has_core else self.even
-        things = self.seeds.regions | (self.sheets > FAINT_SHEET) | core.shape
+        things = self.seeds.regions | (self.membranes > FAINT_MEMBRANE) | core.shape
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
         if has_core and not (self.is_horizontal and isinstance(core, Column)):  # which goes on beside its picture
@@ -195,9 +195,9 @@ class Label:
         return out
 
     def _free(self, places: Places, rows: Rows, source: Source) -> NDArray[np.float32]:
-        """(M,). How much of a distance counts: nothing in the rind and in sheets, which run through."""
+        """(M,). How much of a distance counts: nothing in the rind and in membranes, which run through."""
         free = 1 - places.rind[rows]
-        return free * (1 - read_map(source.sheets, places.x[rows], places.y[rows])) if self.is_horizontal else free
+        return free * (1 - read_map(source.membranes, places.x[rows], places.y[rows])) if self.is_horizontal else free
 
     def read_tones(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). The tones of what the places show."""

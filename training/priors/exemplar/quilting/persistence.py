@@ -1,6 +1,6 @@
 """What of a cut face continues beside its plane: the law of shape.
 
-A closed thing is about as tall as it is long, and a sheet that joins core and rind runs through. Neither depends on
+A closed thing is about as tall as it is long, and a membrane that joins core and rind runs through. Neither depends on
 what a colour stands for: the median over a disc of radius t is what remains of a picture at distance t, as it rounds
 off and then removes things narrower than that.
 """
@@ -26,38 +26,39 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.sampling import blurred, lengths, read_as_scipy, reduced
 
-__all__ = ["Persistence", "find_sheets"]
+__all__ = ["Persistence", "find_membranes"]
 
 DISTANCES = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22)
 """Distances in radii at which the medians are taken; seeds, pores and carpels have half widths in this range."""
 
 WIDTHS = (0.07, 0.16, 21), (0.175, 0.4, 51)
-"""Of membranes, and of walls such as a tomato's: distance in radii at which a sheet is gone; one to compare that with;
-and samples around the middle over whose median it stands out, some 20 and 50 degrees. The median over a disc removes a
-line as wide as 0.8 of its radius. Anything wider is flesh or a hollow, which ends as closed things do."""
+"""Of thin membranes, and of walls such as a tomato's: distance in radii at which they are gone; one to compare that
+with; and samples around the middle over whose median they stand out, some 20 and 50 degrees. The median over a disc
+removes a line as wide as 0.8 of its radius. Anything wider is flesh or a hollow, which ends as closed things do."""
 
 SURE = (0.5, 1.5), (1.0, 1.5)
-"""Contrasts of sheets of these two widths, over the standard deviation in the flesh, from which a sheet may be one and
-certainly is. Between walls the flesh may be darker here and there, so a wall has to be surer than a membrane."""
+"""Contrasts at these two widths, over the standard deviation in the flesh, from which a line may be a membrane and
+certainly is one. Between walls the flesh may be darker here and there, so a wall has to be surer than a thin membrane.
+"""
 
 BORDER = 0.01
-"""Radii over which a sheet's surety is smoothed across its edges."""
+"""Radii over which a membrane's surety is smoothed across its edges."""
 
-SHEET_LENGTH = 0.42
-"""Length in radii along which a sheet is followed: longer than seeds and carpels, and shorter than the flesh."""
+MEMBRANE_LENGTH = 0.42
+"""Length in radii along which a membrane is followed: longer than seeds and carpels, and shorter than the flesh."""
 
 BENDS = np.radians(np.linspace(-8, 8, 9))
-"""Angles by which a sheet may lean over that length."""
+"""Angles by which a membrane may lean over that length."""
 
-SHEET_QUANTILE = 0.25
+MEMBRANE_QUANTILE = 0.25
 """Quantile of the contrast along that length that counts. A mean would take seeds and carpels, strong but short, for
-sheets."""
+membranes."""
 
 ANGLES, RADII = 360, 128
-"""Samples around and along the radius when sheets are looked for."""
+"""Samples around and along the radius when membranes are looked for."""
 
-SHEET_RADII = (0.12, 0.93)
-"""Radii between which sheets lie: inside is the core, outside the rind."""
+MEMBRANE_RADII = (0.12, 0.93)
+"""Radii between which membranes lie: inside is the core, outside the rind."""
 
 ROWS = 8
 """Radii that a thread takes at a time."""
@@ -81,10 +82,10 @@ class Persistence:
         return ndimage.map_coordinates(self._gone, at, order=1, mode="nearest", output=np.float32)
 
 
-def find_sheets(disc: Disc, *, walls: bool) -> NDArray[np.float32]:
-    """(DISC_PIXELS, DISC_PIXELS). How surely a horizontal face shows a sheet from core to rind. Range [0, 1].
+def find_membranes(disc: Disc, *, walls: bool) -> NDArray[np.float32]:
+    """(DISC_PIXELS, DISC_PIXELS). How surely a horizontal face shows a membrane from core to rind. Range [0, 1].
 
-    Without `walls`, membranes alone are looked for: grains in a row look like a wall.
+    `walls`: also one as thick as a tomato's walls; grains in a row look like one.
     """
     medians, small = Medians(disc.rgb), reduced(disc.rgb, REDUCTION)
     angle = np.arange(ANGLES) / ANGLES * 2 * np.pi
@@ -94,17 +95,17 @@ def find_sheets(disc: Disc, *, walls: bool) -> NDArray[np.float32]:
     px, py = disc_grid()
     turn = np.arctan2(py, px) % (2 * np.pi) / (2 * np.pi) * ANGLES
     at = np.stack([disc_radius() * RADII - 0.5, turn])
-    sheets = np.zeros(px.shape, np.float32)
+    membranes = np.zeros(px.shape, np.float32)
     for (gone, compared, samples), (least, most) in list(zip(WIDTHS, SURE, strict=True))[: None if walls else 1]:
         surely = np.clip((_contrasts_along(polar, samples) - least) / (most - least), 0, 1)
-        surely[(radius < SHEET_RADII[0]) | (radius > SHEET_RADII[1])] = 0
+        surely[(radius < MEMBRANE_RADII[0]) | (radius > MEMBRANE_RADII[1])] = 0
         closed = np.concatenate([surely, surely[:, :1]], axis=1)
         found = ndimage.map_coordinates(closed, at, order=1, cval=0, output=np.float32)
         both = np.stack([lengths(small - medians.over(distance)) for distance in (gone, compared)], -1)
         thin, wide = np.moveaxis(read_as_scipy(both, *to_pixels(px, py, len(both))), -1, 0)
         share = np.clip(2 * thin / (wide + 0.02) - 0.5, 0, 1)
-        sheets = np.maximum(sheets, found * blurred(share, BORDER * DISC_PIXELS / (2 * REACH)))
-    return sheets
+        membranes = np.maximum(membranes, found * blurred(share, BORDER * DISC_PIXELS / (2 * REACH)))
+    return membranes
 
 
 def _contrasts_along(polar: NDArray[np.float32], samples: int) -> NDArray[np.floating]:
@@ -113,12 +114,12 @@ def _contrasts_along(polar: NDArray[np.float32], samples: int) -> NDArray[np.flo
     half = samples // 2
     around = np.pad(polar, ((0, 0), (half, half), (0, 0)), mode="wrap")
     contrast = polar - Ranks.of(around).medians(np.array([half]))[:, half:-half]
-    length = int(SHEET_LENGTH * RADII)
+    length = int(MEMBRANE_LENGTH * RADII)
     along = np.arange(-(length // 2), length // 2 + 1, 2)
     turns = np.round(BENDS[:, None] * along / length * ANGLES / (2 * np.pi)).astype(int)
     means = np.empty((len(BENDS), RADII, ANGLES, 3), np.float32)
     steady, found = np.empty((len(BENDS), RADII, ANGLES), np.float32), np.empty((RADII, ANGLES), np.float32)
-    for_spans(_follow_lines, RADII, contrast, along, turns, SHEET_QUANTILE, means, steady, span=ROWS)
+    for_spans(_follow_lines, RADII, contrast, along, turns, MEMBRANE_QUANTILE, means, steady, span=ROWS)
     for_spans(_steadiest, RADII, contrast, along, turns, means, steady, found, span=ROWS)
     return found / (lengths(contrast[int(0.2 * RADII) : int(0.8 * RADII)]).std() + 0.01)
 
@@ -173,7 +174,7 @@ def _steadiest(
     steady: NDArray[np.float32],  # [B, R, A]
     found: NDArray[np.float32],  # out [R, A]
 ) -> None:
-    """A sheet runs all along a steady line, but ends where the picture itself does not stand out."""
+    """A membrane runs all along a steady line, but ends where the picture itself does not stand out."""
     radii, angles = found.shape
     for row in range(start, stop):
         for column in range(angles):

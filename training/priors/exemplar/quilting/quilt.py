@@ -392,13 +392,13 @@ def _is_clear(laid: Candidates, planes: list[Label]) -> NDArray[np.bool_]:
 
 
 def _grain_cover(labels: list[Label], chosen: NDArray[np.int32], read: list[Places]) -> NDArray[np.float32]:
-    """(M,). How much of what the chosen labels (M,) show is covered by grains and by no sheet."""
+    """(M,). How much of what the chosen labels (M,) show is covered by grains and by no membrane."""
     cover = np.zeros(len(chosen), np.float32)
     for n, (label, places) in enumerate(zip(labels, read, strict=True)):
         for m, source in enumerate(label.sources):
             rows = np.flatnonzero((chosen == n) & (places.picture == m))
             x, y = places.x[rows], places.y[rows]
-            cover[rows] = source.grains.cover_at(x, y) * (1 - read_map(source.sheets, x, y))
+            cover[rows] = source.grains.cover_at(x, y) * (1 - read_map(source.membranes, x, y))
     return cover
 
 
@@ -411,7 +411,7 @@ def _make_labels(across: list[Source], along: list[Source], height: float, seed:
     """The labels, own planes first, then random chunks."""
     labels = []
     if across:
-        own = OwnHeight(height, across[0].sheets, np.random.default_rng([seed, 3]))
+        own = OwnHeight(height, across[0].membranes, np.random.default_rng([seed, 3]))
         labels.append(Label(own, across, True, True))
     if along:
         labels.append(Label(OwnAzimuths(len(along), np.random.default_rng([seed, 4])), along, False, True))

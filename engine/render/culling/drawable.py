@@ -14,7 +14,7 @@ from engine.scene import sh
 from engine.scene.atoms import Atoms
 from engine.scene.constants import EPSILON_PITCHES
 
-__all__ = ["Solid", "reach_of"]
+__all__ = ["Drawable", "reach_of"]
 
 Float = NDArray[np.float32]
 
@@ -38,7 +38,7 @@ def _widest(atoms: Atoms) -> float:
     return max(float(atoms.surface.scales.max(initial=0)), float(atoms.interior.sigmas.max(initial=0)))
 
 
-class Solid:
+class Drawable:
     """Surface and interior atoms in separate stores."""
 
     def __init__(self, atoms: Atoms) -> None:

@@ -1,4 +1,4 @@
-"""The line around a core, such as an apple's: a closed shell that a horizontal picture shows as a ring.
+"""The closed shell around a core, such as an apple's: a line in pictures, which is a ring in horizontal ones.
 
 Extruded along the axis the ring would become a tube, and the outline in the radial pictures a barrel beside it. The
 line is therefore removed from all pictures and drawn as the one shell of which both are sections; the ground is bent
@@ -22,7 +22,7 @@ from training.priors.exemplar.patches import OVER
 from training.priors.exemplar.record import RecordReader
 from training.priors.exemplar.sampling import read_bilinear
 
-__all__ = ["Core", "extract_core"]
+__all__ = ["CoreShell", "extract_core_shell"]
 
 OUTLINE_ANGLES = 91
 """Directions, from straight down to straight up, in which an outline is sampled."""
@@ -45,7 +45,7 @@ HALF_WIDTH = 2.0
 
 
 @dataclass(frozen=True)
-class Core:
+class CoreShell:
     """The shell around a core, and its line in the horizontal picture."""
 
     ring: NDArray[np.float32]
@@ -81,12 +81,12 @@ class Core:
         return read_bilinear(self.line[..., None], y * OVER, x * OVER)
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same core."""
+        """Arrays and facts from which `restored` makes the same shell."""
         return {"ring": self.ring, "outline": self.outline, "line": self.line}, {"half": list(self.half)}
 
     @classmethod
-    def restored(cls, record: RecordReader, pixels: tuple[int, int]) -> Core:
-        """The core in a `record`, for a picture of (H, W) pixels. Raises ValueError if the record is not valid."""
+    def restored(cls, record: RecordReader, pixels: tuple[int, int]) -> CoreShell:
+        """The shell in a `record`, for a picture of (H, W) pixels. Raises ValueError if the record is not valid."""
         return cls(
             record.array("ring", np.float32, (ANGLES,)),
             record.array("outline", np.float32, (OUTLINE_ANGLES,)),
@@ -95,7 +95,7 @@ class Core:
         )
 
 
-def extract_core(carrier: Layers, radial: Sequence[Layers]) -> tuple[Core | None, Layers, list[Layers]]:
+def extract_core_shell(carrier: Layers, radial: Sequence[Layers]) -> tuple[CoreShell | None, Layers, list[Layers]]:
     """The shell of which all pictures show sections, and the layers of the pictures without it.
 
     None and the unchanged layers if a radial picture shows no closed outline, or the horizontal one no ring where the
@@ -150,7 +150,7 @@ def extract_core(carrier: Layers, radial: Sequence[Layers]) -> tuple[Core | None
         labels=carrier.labels * keep,
         details=details,
     )
-    core = Core(ring, outline, half, line.astype(np.float32))
+    core = CoreShell(ring, outline, half, line.astype(np.float32))
     return core, bare, bare_layers
 
 

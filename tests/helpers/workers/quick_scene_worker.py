@@ -28,7 +28,7 @@ def use_quick_worker() -> None:
     """Makes this process prepare all further scenes with this module."""
 
     def start_quick(module: str, **options: Any) -> Any:
-        return start("tests.quick_scene_worker", **options)
+        return start("tests.helpers.workers.quick_scene_worker", **options)
 
     scene_loader.start_python = start_quick  # type: ignore[assignment]
 
