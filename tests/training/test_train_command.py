@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from safetensors.numpy import load_file
 
 import training.settings
 from engine.io.load import load
@@ -111,6 +112,7 @@ def test_nothing_is_trained_where_the_inside_is_known(tmp_path):
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["iterations"] == 0 and "nothing to train" in report["ended"]
     assert report["views"] == {"parallel": 8} and len(list((tmp_path / "previews").iterdir())) == 2
+    assert len(load_file(tmp_path / "checkpoint/labels.safetensors")["labels"]) == 2  # no label that nothing shows
     atoms, _ = load_trained(solid)
     inside = read_inside(solid)
     assert inside is not None
