@@ -164,7 +164,7 @@ _locks = _Locks()
 _compile = dispatcher.Dispatcher.compile
 
 
-def _compile_once(kernel: dispatcher.Dispatcher, signature: Any) -> Any:
+def _compile_once(kernel: Any, signature: Any) -> Any:
     """As numba's own; a kernel that is cached is compiled by one process at a time."""
     known = isinstance(signature, tuple) and signature in kernel.overloads
     if known or not isinstance(kernel._cache, caching.FunctionCache):
@@ -173,4 +173,4 @@ def _compile_once(kernel: dispatcher.Dispatcher, signature: Any) -> Any:
         return _compile(kernel, signature)
 
 
-dispatcher.Dispatcher.compile = _compile_once  # type: ignore[method-assign]
+dispatcher.Dispatcher.compile = _compile_once  # type: ignore[method-assign, assignment]
