@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 
@@ -42,6 +43,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         rest, others = others[begin:], others[:begin]
         early = len(rest) // 2 if n else 0
         items += rest[:early] + some + rest[early:]
+
+
+def pytest_collection_finish() -> None:
+    """Takes all that was imported out of the searches for garbage: each would look through it again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

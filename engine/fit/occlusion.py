@@ -56,7 +56,8 @@ class CoreView:
 def core_of(body: Body, pitch: float) -> Splats:
     """Balls in the outermost cells of the core, which together close it; none if all of the body is thin."""
     core = body.depth > CORE_PITCHES * pitch
-    means = body.grid.centres_of(core & ~ndimage.binary_erosion(core))
+    # In rows, as all means are: for columns the kernels would be compiled again.
+    means = np.ascontiguousarray(body.grid.centres_of(core & ~ndimage.binary_erosion(core)))
     scales = np.full((len(means), 3), CORE_SIGMA * body.grid.cell, np.float32)
     return Splats(means, scales, np.tile(np.array([1, 0, 0, 0], np.float32), (len(means), 1)))
 

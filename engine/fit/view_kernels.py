@@ -52,19 +52,21 @@ def fill_shares(y, sums, left, shares):
 def count_splats(task, tiled, front, shares, count):
     """Adds to count (H, W) the number of fragments that each pixel shows, by its shares (H, W, 3)."""
     atoms, weights, cursor = np.empty(0, np.int32), np.empty(0, np.float32), np.empty((0, 0), np.int64)
-    _walk(task, tiled, front, shares, count, False, cursor, atoms, weights)
+    _walk(task, tiled, front, shares, count, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_splats(task, tiled, front, shares, cursor, atoms, weights):
     """Writes the fragments that `count_splats` counts, weights times shares, at cursor (H, W), which advances."""
-    _walk(task, tiled, front, shares, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
+    _walk(task, tiled, front, shares, np.empty((0, 0), np.int64), cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _walk(task, tiled, front, shares, count, fill, cursor, atoms, weights):
-    """The second pass of `engine.render.cpu.tiles.accumulate` over some tiles, fragment by fragment."""
+def _walk(task, tiled, front, shares, count, cursor, atoms, weights):
+    """The second pass of `engine.render.cpu.tiles.accumulate` over some tiles, fragment by fragment: counts them, or
+    writes them if there is a cursor. Asked of its size, so that one kernel does both."""
     height, width = front.shape
+    fill = len(cursor) > 0
     kind = tiled.records.dtype.type
     near, lane = kind(tiled.cam.near), np.empty((4, AREA), kind)
     px, py, h, z = lane[0], lane[1], lane[2], lane[3]

@@ -113,8 +113,9 @@ def _summarise(
     """The mean and the variance, over cells and channels, of each block in a layer of blocks."""
     for j in range(means.shape[1]):
         for k in range(means.shape[2]):
-            square = 0.0
-            means[i, j, k] = 0
+            square, square_of_means = 0.0, 0.0
+            for c in range(3):  # for a whole row numba would also compile an error message, which takes seconds
+                means[i, j, k, c] = 0
             for x in range(i * size, (i + 1) * size):
                 for y in range(j * size, (j + 1) * size):
                     for z in range(k * size, (k + 1) * size):
@@ -122,8 +123,10 @@ def _summarise(
                             value = np.float64(rgb[x, y, z, c])
                             means[i, j, k, c] += value
                             square += value * value
-            means[i, j, k] /= size**3
-            variance[i, j, k] = (square / size**3 - (means[i, j, k] ** 2).sum()) / 3
+            for c in range(3):
+                means[i, j, k, c] /= size**3
+                square_of_means += means[i, j, k, c] * means[i, j, k, c]
+            variance[i, j, k] = (square / size**3 - square_of_means) / 3
 
 
 @njit(cache=True, nogil=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import importlib.util
+import threading
+import time
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,7 +15,7 @@ from numba import njit, types
 from numba.core import caching, event
 from numba.core.errors import TypingError
 
-import engine  # noqa: F401 (makes numba forgiving)
+from engine import compiler
 
 KERNEL = """
 from numba import njit
@@ -60,6 +62,45 @@ def test_half_a_kernel(tmp_path: Path) -> None:
             path.write_bytes(half)
             assert kernel(tmp_path / "a.py").twice(3) == 6
         path.write_bytes(whole)
+
+
+def test_what_another_process_compiles_is_waited_for_and_loaded(tmp_path: Path) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    assert kernel(tmp_path / "a.py").twice(3) == 6
+    cached = {path: path.read_bytes() for path in tmp_path.rglob("*.nb?")}
+    [path.unlink() for path in cached]
+    again = kernel(tmp_path / "a.py")
+    results: list[int] = []
+    with (tmp_path / "a.py").open() as other:  # locks of two open files exclude each other, as two processes' do
+        fcntl.flock(other, fcntl.LOCK_EX)
+        waiting = threading.Thread(target=lambda: results.append(again.twice(3)))
+        waiting.start()
+        time.sleep(10 * compiler.LOOK)
+        assert not results
+        [path.write_bytes(data) for path, data in cached.items()]
+    waiting.join()
+    assert results == [6] and sum(again.twice.stats.cache_hits.values()) == 1
+
+
+def test_a_halted_process_is_not_waited_for_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    monkeypatch.setattr(compiler, "_locks", compiler._Locks())
+    monkeypatch.setattr(compiler, "PATIENCE", 0.1)
+    first, second = kernel(tmp_path / "a.py"), kernel(tmp_path / "b.py")
+    with (tmp_path / "a.py").open() as a, (tmp_path / "b.py").open() as b:
+        fcntl.flock(a, fcntl.LOCK_EX)
+        fcntl.flock(b, fcntl.LOCK_EX)
+        assert first.twice(3) == 6
+        monkeypatch.setattr(compiler, "PATIENCE", 1e9)
+        assert second.twice(3) == 6
+
+
+def test_a_lock_is_given_back_if_a_kernel_cannot_be_compiled(tmp_path: Path) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    with pytest.raises(TypingError):
+        kernel(tmp_path / "a.py").twice(None)
+    with (tmp_path / "a.py").open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 @pytest.mark.parametrize("on", [True, False])

@@ -154,7 +154,7 @@ def facing_of(plane, across, down, orthographic):
     return facing
 
 
-@register_jitable(inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def enter_row(y, cam, bounds, entry, through, distance, touching):
     """Fills depth `entry` (W,) and plane `through` (W,) where the rays of row y enter a piece; plane -1: nowhere.
 
