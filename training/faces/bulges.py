@@ -15,7 +15,7 @@ from engine.solid.distance_transform import depth_in
 from training.faces.completion import NEAR_BORDER
 from training.faces.edges import EDGE_GAIN, MIXED, cheapest_path, edge_cost, edge_strength, rims_apart
 
-__all__ = ["without_bulges"]
+__all__ = ["oval_of", "reach_of", "without_bulges"]
 
 BAND = 0.07, 0.015
 """How far inside and outside of the oval the outline is searched, as fractions of the face's diameter: deeper than
@@ -68,8 +68,8 @@ def _within_outline(cost: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArr
     middle = np.array([places.mean() for places in np.nonzero(mask)])
     turns = np.linspace(0, 2 * np.pi, max(int(np.pi * diameter), 8), endpoint=False)  # a pixel apart
     rays = np.stack([np.sin(turns), np.cos(turns)])
-    reach = _reach(mask, middle, rays)
-    oval = _oval(turns, reach)
+    reach = reach_of(mask, middle, rays)
+    oval = oval_of(turns, reach)
     steps = np.arange(-np.ceil(BAND[0] * diameter), np.ceil(BAND[1] * diameter) + 1)
     radii = oval + steps[:, None]
     costs = ndimage.map_coordinates(cost, middle[:, None, None] + rays[:, None] * radii, order=1, mode="nearest")
@@ -84,7 +84,7 @@ def _within_outline(cost: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArr
     return np.hypot(rows, columns) <= np.interp(turn, turns, radius, period=2 * np.pi)
 
 
-def _reach(mask: NDArray[np.bool_], middle: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+def reach_of(mask: NDArray[np.bool_], middle: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
     """(N,). How far a mask (H, W) reaches from a place (2,) along rays (2, N), pixels, at least one."""
     steps = np.arange(1, int(np.hypot(*mask.shape)))
     places = np.round(middle[:, None, None] + rays[:, None] * steps[:, None]).astype(int)
@@ -94,7 +94,7 @@ def _reach(mask: NDArray[np.bool_], middle: NDArray[np.float64], rays: NDArray[n
     return (steps[:, None] * (seen & mask[rows, columns])).max(0).clip(1).astype(np.float64)
 
 
-def _oval(turns: NDArray[np.float64], reach: NDArray[np.float64]) -> NDArray[np.float64]:
+def oval_of(turns: NDArray[np.float64], reach: NDArray[np.float64]) -> NDArray[np.float64]:
     """(N,). The radius of an oval that most of an outline follows; the more a place stands out, the less it counts."""
     basis = np.stack([np.ones_like(turns), *(f(k * turns) for k in (1, 2) for f in (np.cos, np.sin))], -1)
     wanted, weights = np.log(reach), np.ones_like(reach)

@@ -23,6 +23,7 @@ from training.faces.bulges import without_bulges
 from training.faces.completion import find_oval
 from training.faces.edges import EDGE_GAIN, MIXED, edge_cost, edge_strength, rims_apart
 from training.faces.shadow import SECTORS, SHADE, light_around
+from training.faces.side import without_side
 
 __all__ = ["find_mask", "is_dimmed_around", "largest_component"]
 
@@ -122,7 +123,8 @@ def find_mask(
 
 def _trace(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(H, W). The face, traced from a first guess (H, W)."""
-    return _settle_mixed_pixels(rgb, without_bulges(rgb, _move_to_edges(rgb, _grab_cut(rgb, guess))))
+    moved = _move_to_edges(rgb, _grab_cut(rgb, guess))
+    return _settle_mixed_pixels(rgb, without_side(rgb, without_bulges(rgb, moved)))
 
 
 def is_dimmed_around(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> bool:
