@@ -19,7 +19,7 @@ from engine.io.load import load
 from engine.io.picture_file import PICTURE_SUFFIXES
 from engine.scene.plane import Plane
 from training.events import Reporter
-from training.faces.mask_file import is_mask
+from training.faces.marks import is_mask
 from training.families import COUNTS, Family, Kind
 from training.isolation_options import parse_body, parse_isolation, select_bodies
 from training.request import Interrupted, PriorName, Request, read_request

@@ -28,8 +28,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
-from training.faces.marks import Marks, axis_beside, marks_record, read_marks
-from training.faces.mask_file import mask_beside
+from training.faces.marks import Marks, axis_beside, marks_record, mask_beside, read_marks
 from training.families import MAX_PLANES, Family, Kind
 from training.settings import DETAILS, Detail, DetailName
 

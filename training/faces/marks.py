@@ -6,6 +6,8 @@ the photograph, `apple.axis.json` for `apple.jpg`:
 
     {"core": [0.52, 0.48]}                       of a horizontal cut
     {"line": [[0.50, 0.06], [0.53, 0.97]]}       of a radial cut, from its upper to its lower end
+
+A cut-out made elsewhere is a black and white picture beside it, `apple.mask.png`.
 """
 
 from __future__ import annotations
@@ -19,13 +21,26 @@ from engine.io.fields import Fields
 from engine.io.files import read_file
 from engine.io.strict_json import parse
 
-__all__ = ["MOST_POINTS", "UNMARKED", "Marks", "Place", "axis_beside", "marks_record", "read_axis_file", "read_marks"]
+__all__ = [
+    "MOST_POINTS",
+    "UNMARKED",
+    "Marks",
+    "Place",
+    "axis_beside",
+    "is_mask",
+    "marks_record",
+    "mask_beside",
+    "read_axis_file",
+    "read_marks",
+]
 
 Place = tuple[float, float]
 """(x, y), fractions of a picture's width and height. Range [0, 1]."""
 
 MOST_POINTS = 2000
 """Largest number of points of an outline; one around a face has a hundred."""
+
+MASK = ".mask.png"
 
 LIMIT = 1 << 12
 """Bytes of the largest axis file that is read; a real one has a hundred."""
@@ -50,6 +65,17 @@ def axis_beside(photograph: Path) -> Path | None:
     """The photograph's axis file; None if there is none."""
     path = photograph.with_name(f"{photograph.stem}.axis.json")
     return path if path.is_file() else None
+
+
+def mask_beside(photograph: Path) -> Path | None:
+    """The photograph's mask; None if there is none."""
+    path = photograph.with_name(photograph.stem + MASK)
+    return path if path.is_file() else None
+
+
+def is_mask(path: Path) -> bool:
+    """Whether a picture is another one's mask, by its name."""
+    return path.name.endswith(MASK)
 
 
 def read_axis_file(path: Path) -> Marks:
