@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.scene.grid import read_cells
 from engine.threads import side_by_side
 from training.priors.exemplar.frames import ScaledPicture, Space, View
 from training.priors.exemplar.patches import OVER, RADIAL
@@ -77,8 +78,7 @@ def _grid_reader(grey: NDArray[np.float32], core: NDArray[np.int16], view: View)
     first, second = 0.8 * a + 0.6 * b, 0.8 * b - 0.6 * a
 
     def read(x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
-        at = core.T + 0.37 + x * first[:, None] + y * second[:, None]
-        return ndimage.map_coordinates(grey, at, order=1, mode="nearest", output=np.float32)
+        return read_cells(grey, (core.T + 0.37 + x * first[:, None] + y * second[:, None]).T)
 
     return read
 
