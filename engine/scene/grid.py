@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from engine.threads import for_spans, side_by_side
 
-__all__ = ["Body", "Grid", "read_cells"]
+__all__ = ["Body", "Grid", "read_cells", "widened"]
 
 
 @dataclass(frozen=True)
@@ -172,3 +172,15 @@ def _between(place: float, cells: int) -> tuple[int, int, float]:
     at = min(place, cells - 1.0) if place > 0 else 0.0
     below = int(at)
     return below, min(below + 1, cells - 1), 1.0 - (at - below)
+
+
+def widened(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """(X, Y, Z). Cells with a true one in the cube that goes so many cells to every side."""
+    for axis in range(3):
+        near = np.moveaxis(cells.copy(), axis, 0)
+        for step in range(1, min(reach, len(near) - 1) + 1):
+            there = np.moveaxis(cells, axis, 0)
+            near[step:] |= there[:-step]
+            near[:-step] |= there[step:]
+        cells = np.moveaxis(near, 0, axis)
+    return cells
