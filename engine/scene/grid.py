@@ -56,8 +56,8 @@ class Grid:
         return [self.origin[i] + (np.arange(self.shape[i]) + 0.5) * self.cell for i in range(3)]
 
     def sample(self, values: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(...) or (..., C). Values (X, Y, Z) or (X, Y, Z, C) at world points (..., 3), trilinear; outside the grid those
-        of the nearest cell."""
+        """(...) or (..., C). Values (X, Y, Z) or (X, Y, Z, C) at world points (..., 3), trilinear; outside the grid
+        those of the nearest cell."""
         return _read(values, points, np.asarray(self.origin, np.float64), float(self.cell), 0.5)
 
 
