@@ -14,7 +14,7 @@ from engine.threads import for_each, side_by_side
 from training.priors.exemplar.frames import ScaledPicture, Space, View
 from training.priors.exemplar.patches import OVER, RADIAL
 
-__all__ = ["sharpen"]
+__all__ = ["sharpen", "sharpen_layer"]
 
 EDGE_SIGMA = 0.8
 """Standard deviation, in cells, of the unsharp mask: about the blur of trilinear interpolation."""
@@ -58,12 +58,12 @@ def sharpen(space: Space, rgb: NDArray[np.float32], views: Sequence[View]) -> fl
     gain = float(np.clip(gain, 0, MAX_GAIN))
 
     for n, (values, edge) in enumerate(zip(channels, edges, strict=True)):
-        for_each(_sharpen_layer, len(values), values, edge, np.float32(gain), rgb[..., n])
+        for_each(sharpen_layer, len(values), values, edge, np.float32(gain), rgb[..., n])
     return gain
 
 
 @njit(cache=True, nogil=True)
-def _sharpen_layer(
+def sharpen_layer(
     x: int,
     values: NDArray[np.float32],  # [X, Y, Z]
     edge: NDArray[np.float32],  # [X, Y, Z]
