@@ -20,7 +20,7 @@ def scipys(values: NDArray[np.float32], at: NDArray[np.floating]) -> NDArray[np.
 def test_cells_are_read_as_scipy_does_to_the_bit(shape: tuple[int, int, int], dtype: type) -> None:
     random = np.random.default_rng(0)
     values = random.standard_normal((*shape, 3)).astype(np.float32)
-    at = random.uniform(-4, 35, (70, 90, 3)).astype(dtype)
+    at: NDArray[np.floating] = random.uniform(-4, 35, (70, 90, 3)).astype(dtype)
     at[:5] = np.round(at[:5])  # on the centres of cells
     found = read_cells(values, at)
     assert found.shape == (70, 90, 3)
