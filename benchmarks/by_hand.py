@@ -2,9 +2,9 @@
 
     python -m benchmarks.by_hand [--quick] [-o docs/charts]
 
-Six kinds of row: the distance transforms of a grid and of a picture, splines, and the errors of an octree's leaves
-against SciPy's, the thread loop against the standard library's pool on the short loops of a frame, and the vector lanes
-of the classic renderer against plain loops.
+Eight kinds of row: the distance transforms of a grid and of a picture, splines, linear values between cells,
+sharpening, and the errors of an octree's leaves against SciPy's, the thread loop against the standard library's pool on
+the short loops of a frame, and the vector lanes of the classic renderer against plain loops.
 Both sides of a row run in turns; figures are medians of wall time, and of processor time over cores, which a loaded
 machine disturbs least. Writes by_hand.json and .png.
 """
@@ -33,11 +33,13 @@ from engine.render.classic.differentiable import rasterize
 from engine.render.classic.records import Frame, Slice
 from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
 from engine.scene.constants import MAX_ALPHA, MIN_TRANSMITTANCE
+from engine.scene.grid import read_cells
 from engine.solid.distance_transform import depth_in, nearest
 from engine.solid.octree import approximation_error
 from engine.threads import cores, for_each
 from tests.reference import octree as plain
 from training.priors.cubic import read_cubic, spline_coefficients
+from training.priors.exemplar.sharpen import sharpen_layer
 
 LOOPS, TASKS = 12, 16
 """Loops per frame, and tasks per loop."""
@@ -152,6 +154,30 @@ def spline_row(cells: int, rounds: int) -> dict[str, Any]:
     return in_turns(lambda: read_cubic(splines, at), scipy, rounds)
 
 
+def cell_row(cells: int, rounds: int) -> dict[str, Any]:
+    """Colours between the cells of a grid, linear, where pixels of cuts are."""
+    rng = np.random.default_rng(0)
+    rgb, at = rng.random((cells, cells, cells, 3), np.float32), rng.uniform(0, cells - 1, (200_000, 3))
+
+    def scipy() -> None:
+        for c in range(3):
+            ndimage.map_coordinates(rgb[..., c], at.T, order=1, mode="nearest", output=np.float32)
+
+    return in_turns(lambda: read_cells(rgb, at), scipy, rounds)
+
+
+def sharpen_row(cells: int, rounds: int) -> dict[str, Any]:
+    """One channel of a volume, sharpened within the range of its neighbours."""
+    values, edge = np.random.default_rng(0).random((2, cells, cells, cells), np.float32)
+    out = np.empty_like(values)
+
+    def scipy() -> None:
+        low, high = ndimage.minimum_filter(values, 3), ndimage.maximum_filter(values, 3)
+        np.clip(np.clip(values + 2 * edge, low, high), 0, 1)
+
+    return in_turns(lambda: for_each(sharpen_layer, cells, values, edge, np.float32(2), out), scipy, rounds)
+
+
 def leaf_row(cells: int, rounds: int) -> dict[str, Any]:
     """How far atoms of four cells are from the colours they stand for."""
     rgb = np.random.default_rng(0).random((cells, cells, cells, 3), np.float32)
@@ -214,6 +240,8 @@ def main(arguments: list[str] | None = None) -> None:
         "distance transform, 192^3 (SciPy)": distance_row(64 if quick else 192, rounds),
         "distances in a picture, 1,400^2 (SciPy)": picture_row(350 if quick else 1400, rounds),
         "splines at 200,000 points (SciPy)": spline_row(16 if quick else 128, rounds),
+        "cells at 200,000 points (SciPy)": cell_row(16 if quick else 128, rounds),
+        "sharpening, 128^3 (SciPy)": sharpen_row(32 if quick else 128, rounds),
         "errors of leaves, 128^3 (SciPy)": leaf_row(32 if quick else 128, rounds),
         f"{LOOPS} short loops (ThreadPoolExecutor)": thread_row(20 * rounds),
         "classic, 20 k, 512^2 (plain loops)": lane_row(256 if quick else 512, rounds),

@@ -11,9 +11,10 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.scene.grid import widened
 from engine.threads import for_each
 
-__all__ = ["COARSEST", "leaf_levels"]
+__all__ = ["COARSEST", "blocks_around", "leaf_levels"]
 
 COARSEST = 3
 """Level of the largest leaves, 8 cells along the edge. One level more saves less than 1 % of the atoms."""
@@ -39,13 +40,11 @@ BUDGET = 1 / 3
 HALVINGS = 10
 """Halvings of the tolerance interval in the search: down to 1e-4 of colour."""
 
-NEIGHBOURHOOD = np.ones((3, 3, 3), bool)
-
 
 def leaf_levels(rgb: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[np.int8]:
     """(X, Y, Z). Level of the leaf that holds each cell, 0 for a cell that is a leaf by itself.
 
-    rgb: (X, Y, Z, 3), colours at the cell centres, also those just outside the solid. solid: (X, Y, Z), cells that hold
+    rgb: (X, Y, Z, 3), colours at the cell centres of `blocks_around`. solid: (X, Y, Z), cells that hold
     matter; only blocks of such cells are merged. X, Y, Z are multiples of 2^COARSEST. The levels of neighbouring leaves
     differ by at most one. There are at most BUDGET leaves per solid cell unless MAX_TOLERANCE needs more.
     """
@@ -70,6 +69,12 @@ def leaf_levels(rgb: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[n
     for level, (size, blocks_merged) in enumerate(zip(leaf_sizes(), merged_blocks(errors, low), strict=True), 1):
         levels[upsample(blocks_merged, size)] = level
     return levels
+
+
+def blocks_around(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(X / 2^COARSEST, ...). Blocks whose colours `leaf_levels` asks for: those with solid cells (X, Y, Z), and their
+    neighbours."""
+    return widened(blocks(solid, 2**COARSEST).max(axis=(1, 3, 5)), 1)
 
 
 def leaf_sizes() -> list[int]:
@@ -139,31 +144,40 @@ def _compare(
 ) -> None:
     """The mean squared difference, in each block of a layer, between the colours and the blocks' means, trilinear
     between the middles of blocks."""
-    last = np.array(means.shape[:3]) - 1
-    cell, along = np.empty(3, np.int64), np.empty(3)
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    corners, weights = np.empty((size**3, 8), np.int64), np.empty((size**3, 8))
+    for n in range(size**3):
+        for d in range(8):
+            corners[n, d], weights[n, d] = 0, 1.0
+            for axis, step in enumerate((n // size**2, n // size % size, n % size)):
+                place = (step + 0.5) / size + 0.5
+                below = int(place)
+                along, above = place - below, d >> axis & 1
+                corners[n, d] = 3 * corners[n, d] + below + above
+                weights[n, d] *= along if above else 1 - along
+    near, last = np.empty((27, 3)), np.array(means.shape[:3]) - 1
     for j in range(means.shape[1]):
         for k in range(means.shape[2]):
-            total = 0.0
-            for n in range(size**3):
-                cell[0], cell[1], cell[2] = i * size + n // size**2, j * size + n // size % size, k * size + n % size
-                for axis in range(3):
-                    place = (cell[axis] + 0.5) / size - 0.5
-                    below = int(np.floor(place))
-                    along[axis] = place - below
-                    low[axis], high[axis] = max(below, 0), min(below + 1, last[axis])
-                for c in range(3):
-                    value = 0.0
-                    for d in range(8):
-                        corner_x, corner_y, corner_z = d & 1, d >> 1 & 1, d >> 2
-                        weight = along[0] if corner_x else 1 - along[0]
-                        weight *= along[1] if corner_y else 1 - along[1]
-                        weight *= along[2] if corner_z else 1 - along[2]
-                        x = high[0] if corner_x else low[0]
-                        y = high[1] if corner_y else low[1]
-                        z = high[2] if corner_z else low[2]
-                        value += weight * means[x, y, z, c]
-                    total += (value - rgb[cell[0], cell[1], cell[2], c]) ** 2
+            m = 0
+            for x in range(i - 1, i + 2):
+                for y in range(j - 1, j + 2):
+                    for z in range(k - 1, k + 2):
+                        mean = means[min(max(x, 0), last[0]), min(max(y, 0), last[1]), min(max(z, 0), last[2])]
+                        near[m, 0], near[m, 1], near[m, 2] = mean[0], mean[1], mean[2]
+                        m += 1
+            total, n = 0.0, 0
+            for x in range(i * size, (i + 1) * size):
+                for y in range(j * size, (j + 1) * size):
+                    for z in range(k * size, (k + 1) * size):
+                        red, green, blue = 0.0, 0.0, 0.0
+                        for d in range(8):
+                            weight, m = weights[n, d], corners[n, d]
+                            red += weight * near[m, 0]
+                            green += weight * near[m, 1]
+                            blue += weight * near[m, 2]
+                        total += (red - rgb[x, y, z, 0]) ** 2
+                        total += (green - rgb[x, y, z, 1]) ** 2
+                        total += (blue - rgb[x, y, z, 2]) ** 2
+                        n += 1
             error[i, j, k] = total / (3 * size**3)
 
 
@@ -173,7 +187,7 @@ def merged_blocks(errors: list[NDArray[np.float32]], tolerance: float) -> list[N
     for error in errors:
         good = error <= tolerance**2
         if result:  # all eight parts and their neighbours are merged, so neighbouring leaves differ by one level
-            good &= blocks(ndimage.binary_erosion(result[-1], NEIGHBOURHOOD, border_value=1), 2).min(axis=(1, 3, 5))
+            good &= blocks(~widened(~result[-1], 1), 2).min(axis=(1, 3, 5))
         result.append(good)
     return result
 

@@ -58,7 +58,7 @@ class Volume:
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3), trilinear."""
-        return np.stack([self.body.grid.sample(self.rgb[..., c], points) for c in range(3)], axis=-1)
+        return self.body.grid.sample(self.rgb, points)
 
     def at_cubic(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3) by a cubic spline, clipped to [0, 1].

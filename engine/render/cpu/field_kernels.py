@@ -37,6 +37,9 @@ ROWS = 16
 REACH = 3.0001
 """Standard deviations at which an atom is cut off, with a margin for rounding."""
 
+SPREAD = 3
+"""Most cells around a run of points that share their search, over those around the first of them."""
+
 MARGIN = 1e-3
 """Pixels by which an atom's box is widened, against rounding."""
 
@@ -168,30 +171,109 @@ def _reach(most, largest):
     return np.float32(REACH) * max(largest, np.float32(1) / most)
 
 
-@njit(cache=True, nogil=True)
-def sum_terms(task, points, most, grid, colour, density):
-    """Adds the terms of one level to colour (P, 3), weighted, and density (P,) of some points."""
-    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
-        point = _local(points[p], grid.origin)
-        x0, x1, y0, y1, z0, z1 = _cells_within(point, _reach(most[p], grid.largest), grid)
-        if x1 < x0:
-            continue
-        total = np.float32(0)
-        red, green, blue = np.float32(0), np.float32(0), np.float32(0)
+@njit(cache=True)
+def _run_from(p, end, points, most, grid):
+    """The points from p on whose cells within reach lie close together: one past the last of them, and these cells."""
+    x0, x1, y0, y1, z0, z1 = _cells_within(_local(points[p], grid.origin), _reach(most[p], grid.largest), grid)
+    stop, room = p + 1, SPREAD * (x1 - x0 + 1) * (y1 - y0 + 1) * (z1 - z0 + 1)
+    while stop < end:
+        a0, a1, b0, b1, c0, c1 = _cells_within(
+            _local(points[stop], grid.origin), _reach(most[stop], grid.largest), grid
+        )
+        a0, a1, b0, b1, c0, c1 = min(a0, x0), max(a1, x1), min(b0, y0), max(b1, y1), min(c0, z0), max(c1, z1)
+        if (a1 - a0 + 1) * (b1 - b0 + 1) * (c1 - c0 + 1) > room:
+            break
+        x0, x1, y0, y1, z0, z1 = a0, a1, b0, b1, c0, c1
+        stop += 1
+    return stop, (x0, x1, y0, y1, z0, z1)
+
+
+@njit(cache=True)
+def _gather(cells, grid, near, columns):
+    """Copies what `_reached` reads of the atoms in some cells: their number n, near (2, n), whose first row holds their
+    rows in the level, ascending, and columns (16, n). The arrays are new ones if those given are too small."""
+    x0, x1, y0, y1, z0, z1 = cells
+    count = np.int64(0)
+    for _ in range(2):
+        if count > near.shape[1]:
+            near, columns = np.empty((2, 2 * count), np.int32), np.empty((16, 2 * count), np.float32)
+        count = np.int64(0)
         for z in range(z0, z1 + 1):
             for y in range(y0, y1 + 1):
                 row = (z * grid.ny + y) * grid.nx
-                for i in range(grid.first[row + x0], grid.first[row + x1 + 1]):
-                    w = _weight(i, point, most[p], grid.shapes, grid.axes)
-                    if w >= 0:
-                        total += w
-                        red += w * grid.rgb[i, 0]
-                        green += w * grid.rgb[i, 1]
-                        blue += w * grid.rgb[i, 2]
-        density[p] += total
-        colour[p, 0] += red
-        colour[p, 1] += green
-        colour[p, 2] += blue
+                first, last = grid.first[row + x0], grid.first[row + x1 + 1]
+                if count + last - first <= near.shape[1]:
+                    for i in range(first, last):
+                        near[0, count + i - first] = i
+                        for k in range(6):
+                            columns[k, count + i - first] = grid.shapes[i, k]
+                count += last - first
+        if count <= near.shape[1]:
+            break
+    if len(grid.axes) > 0:
+        for n in range(count):
+            for k in range(9):
+                columns[6 + k, n] = grid.axes[near[0, n], k // 3, k % 3]
+    return count, near, columns
+
+
+@njit(cache=True)
+def _reached(point, most, grid, count, near, columns):
+    """How many of `count` gathered atoms reach a point; writes their places among these to the second row of `near` and
+    q_i to the last row of `columns`, as `_distance` finds it but for several atoms at a time."""
+    for j in range(count):
+        x, y, z = point[0] - columns[0, j], point[1] - columns[1, j], point[2] - columns[2, j]
+        if len(grid.axes) > 0:
+            u = columns[6, j] * x + columns[7, j] * y + columns[8, j] * z
+            v = columns[9, j] * x + columns[10, j] * y + columns[11, j] * z
+            w = columns[12, j] * x + columns[13, j] * y + columns[14, j] * z
+            x, y, z = u, v, w
+        a, b, c = columns[3, j], columns[4, j], columns[5, j]
+        a, b, c = most if a > most else a, most if b > most else b, most if c > most else c
+        x, y, z = x * a, y * b, z * c
+        columns[15, j] = x * x + y * y + z * z
+    n = 0
+    for j in range(count):
+        near[1, n] = j
+        n += columns[15, j] <= np.float32(CUTOFF_Q)
+    return n
+
+
+@njit(cache=True)
+def _gathered_weight(j, most, columns):
+    """`_weight` of a gathered atom that `_reached` has found."""
+    ratio = np.float32(1)
+    for k in range(3, 6):
+        if columns[k, j] > most:
+            ratio *= most / columns[k, j]
+    return math.exp(np.float32(-0.5) * columns[15, j]) * ratio
+
+
+@njit(cache=True, nogil=True)
+def sum_terms(task, points, most, grid, colour, density):
+    """Adds the terms of one level to colour (P, 3), weighted, and density (P,) of some points."""
+    near, columns = np.empty((2, 0), np.int32), np.empty((16, 0), np.float32)
+    p, end = task * POINTS, min((task + 1) * POINTS, len(points))
+    while p < end:
+        stop, cells = _run_from(p, end, points, most, grid)
+        count, near, columns = _gather(cells, grid, near, columns)
+        while p < stop:
+            point = _local(points[p], grid.origin)
+            total = np.float32(0)
+            red, green, blue = np.float32(0), np.float32(0), np.float32(0)
+            for j in range(_reached(point, most[p], grid, count, near, columns)):
+                w = _gathered_weight(near[1, j], most[p], columns)
+                if w >= 0:
+                    i = near[0, near[1, j]]
+                    total += w
+                    red += w * grid.rgb[i, 0]
+                    green += w * grid.rgb[i, 1]
+                    blue += w * grid.rgb[i, 2]
+            density[p] += total
+            colour[p, 0] += red
+            colour[p, 1] += green
+            colour[p, 2] += blue
+            p += 1
 
 
 @njit(cache=True, nogil=True)
@@ -209,40 +291,35 @@ def colour_faces(task, skin_colour, skin_density, colour, density):
 @njit(cache=True, nogil=True)
 def count_terms(task, points, most, grid, count):
     """Adds the number of terms of one level at some points to count (P + 1,), that of point p at place p + 1."""
-    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
-        point = _local(points[p], grid.origin)
-        x0, x1, y0, y1, z0, z1 = _cells_within(point, _reach(most[p], grid.largest), grid)
-        if x1 < x0:
-            continue
-        n = 0
-        for z in range(z0, z1 + 1):
-            for y in range(y0, y1 + 1):
-                row = (z * grid.ny + y) * grid.nx
-                for i in range(grid.first[row + x0], grid.first[row + x1 + 1]):
-                    q, _ = _distance(i, point, most[p], grid.shapes, grid.axes)
-                    n += q <= np.float32(CUTOFF_Q)
-        count[p + 1] += n
+    near, columns = np.empty((2, 0), np.int32), np.empty((16, 0), np.float32)
+    p, end = task * POINTS, min((task + 1) * POINTS, len(points))
+    while p < end:
+        stop, cells = _run_from(p, end, points, most, grid)
+        gathered, near, columns = _gather(cells, grid, near, columns)
+        while p < stop:
+            count[p + 1] += _reached(_local(points[p], grid.origin), most[p], grid, gathered, near, columns)
+            p += 1
 
 
 @njit(cache=True, nogil=True)
-def fill_terms(task, points, most, grid, cursor, columns, weights):
+def fill_terms(task, points, most, grid, cursor, atoms, weights):
     """Writes atoms and weights of the terms of one level at cursor (P,), which advances."""
-    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
-        point = _local(points[p], grid.origin)
-        x0, x1, y0, y1, z0, z1 = _cells_within(point, _reach(most[p], grid.largest), grid)
-        if x1 < x0:
-            continue
-        n = cursor[p]
-        for z in range(z0, z1 + 1):
-            for y in range(y0, y1 + 1):
-                row = (z * grid.ny + y) * grid.nx
-                for i in range(grid.first[row + x0], grid.first[row + x1 + 1]):
-                    w = _weight(i, point, most[p], grid.shapes, grid.axes)
-                    if w >= 0:
-                        columns[n] = grid.atom[i]
-                        weights[n] = w
-                        n += 1
-        cursor[p] = n
+    near, columns = np.empty((2, 0), np.int32), np.empty((16, 0), np.float32)
+    p, end = task * POINTS, min((task + 1) * POINTS, len(points))
+    while p < end:
+        stop, cells = _run_from(p, end, points, most, grid)
+        count, near, columns = _gather(cells, grid, near, columns)
+        while p < stop:
+            point = _local(points[p], grid.origin)
+            n = cursor[p]
+            for j in range(_reached(point, most[p], grid, count, near, columns)):
+                w = _gathered_weight(near[1, j], most[p], columns)
+                if w >= 0:
+                    atoms[n] = grid.atom[near[0, near[1, j]]]
+                    weights[n] = w
+                    n += 1
+            cursor[p] = n
+            p += 1
 
 
 @njit(cache=True, nogil=True)

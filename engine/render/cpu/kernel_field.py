@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from engine.render.cpu.field_kernels import (
     POINTS,
@@ -31,6 +30,7 @@ from engine.render.cpu.field_kernels import (
 )
 from engine.scene import sh
 from engine.scene.atoms import Atoms
+from engine.scene.grid import widened
 from engine.scene.rotations import normalised_quats, rotation_matrices
 from engine.threads import for_each
 
@@ -186,9 +186,9 @@ def axes_of(quats: NDArray[np.floating]) -> Float:
 def level(atom: NDArray[np.intp], means: Float, scales: Float, axes: Float, rgb: Float) -> Level:
     """Sorts atoms of about the same size into a grid."""
     largest = float(scales.max())
-    ranked = np.sort(means, axis=0)
     skipped = int(np.ceil(STRAY * (len(means) - 1)))
-    low, high = ranked[skipped].astype(np.float64), ranked[len(means) - 1 - skipped].astype(np.float64)
+    ends = skipped, len(means) - 1 - skipped
+    low, high = np.partition(means, ends, axis=0)[list(ends)].astype(np.float64)
     margin = 3 * STRAY * np.maximum(high - low, 0)  # a ball is sparse at its ends, so the quantile falls short of them
     low, high = low - margin, high + margin
     cell = max(3 * largest / CELLS_PER_REACH, float(np.finfo(np.float32).tiny))
@@ -198,8 +198,8 @@ def level(atom: NDArray[np.intp], means: Float, scales: Float, axes: Float, rgb:
     scale = np.float32(1 / cell)
     position = (means - low).astype(np.float32)
     first, order = sort_by_cell(position, scale, nx, ny, nz)
-    window = 2 * math.ceil(REACH * largest * float(scale)) + 1  # cells that a point's reach can touch along an axis
-    is_isolated = maximum_filter(np.diff(first).reshape(nz, ny, nx) > 0, window, mode="constant").ravel() == 0
+    reach = math.ceil(REACH * largest * float(scale))  # cells that a point's reach can touch on each side
+    is_isolated = ~widened(np.diff(first).reshape(nz, ny, nx) > 0, reach).ravel()
     inverse = 1 / np.maximum(scales, np.finfo(np.float32).tiny)
     return Level(
         low,

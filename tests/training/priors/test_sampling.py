@@ -7,7 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.threads import for_each
 from training.priors.exemplar.sampling import lengths, opened, read_as_scipy, resampled
+from training.priors.exemplar.sharpen import sharpen_layer
 
 
 @pytest.mark.parametrize("reach", [1, 3])
@@ -57,3 +59,13 @@ def test_lengths_are_numpys_to_the_bit(dtype: type) -> None:
     for some in (vectors[..., :3], vectors[::2, :, 1:], np.ascontiguousarray(vectors[..., :3])):
         assert np.array_equal(lengths(some), np.linalg.norm(some, axis=-1))
         assert lengths(some).dtype == dtype
+
+
+def test_a_volume_is_sharpened_within_scipys_range_of_its_neighbours_to_the_bit() -> None:
+    rgb = np.random.default_rng(0).random((19, 24, 31, 3), np.float32)
+    values, gain, found = np.ascontiguousarray(rgb[..., 1]), np.float32(1.7342318), np.zeros_like(rgb)
+    edge = values - ndimage.gaussian_filter(values, 0.8)
+    for_each(sharpen_layer, len(values), values, edge, gain, found[..., 1])
+    low, high = ndimage.minimum_filter(values, 3), ndimage.maximum_filter(values, 3)
+    assert np.array_equal(found[..., 1], np.clip(np.clip(values + gain * edge, low, high), 0, 1))
+    assert not found[..., ::2].any()

@@ -17,7 +17,7 @@ from engine.scene.grid import Body, Grid
 from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, fill_outside
-from training.priors.exemplar.sampling import read_bilinear
+from training.priors.exemplar.sampling import read_as_scipy, read_bilinear
 
 __all__ = [
     "ANGLES",
@@ -153,7 +153,7 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
     number = np.full(grid.shape, -1, np.int32)
     number[wanted] = np.arange(len(cells), dtype=np.int32)
     basis = np.stack([*equator(up), up])
-    inside = np.argwhere(depth > 0)
+    inside = cells.T[:, depth[wanted] > 0].T  # in the memory order of `cells`, as of any product of matrices
     centre = inside.mean(0)
     along = (inside - centre) @ up
     areas = np.bincount(np.round(along - along.min()).astype(int))
@@ -265,14 +265,7 @@ class ScaledPicture(Outline):
 
     def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Bilinear colours at (x, y) in cells."""
-        at = np.stack([np.asarray(y) * OVER, np.asarray(x) * OVER])
-        return np.stack(
-            [
-                ndimage.map_coordinates(self.rgb[..., c], at, order=1, mode="nearest", output=np.float32)
-                for c in range(3)
-            ],
-            axis=-1,
-        )
+        return read_as_scipy(self.rgb, *(np.asarray(at) * OVER for at in (y, x)))
 
 
 @dataclass(frozen=True)

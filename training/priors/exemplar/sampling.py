@@ -158,7 +158,7 @@ def read_as_scipy(
     out = np.empty((rows.size, values.shape[2]), np.float32)
     places = (np.ascontiguousarray(at, np.float64).reshape(-1) for at in (rows, columns))
     for_spans(_read_as_scipy, len(out), np.ascontiguousarray(values), *places, out)
-    return out.reshape(*rows.shape, -1)
+    return out.reshape(*rows.shape, values.shape[2])
 
 
 @njit(cache=True, nogil=True)

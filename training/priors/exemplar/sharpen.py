@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from engine.threads import side_by_side
+from engine.scene.grid import read_cells
+from engine.threads import for_each, side_by_side
 from training.priors.exemplar.frames import ScaledPicture, Space, View
 from training.priors.exemplar.patches import OVER, RADIAL
 
-__all__ = ["sharpen"]
+__all__ = ["sharpen", "sharpen_layer"]
 
 EDGE_SIGMA = 0.8
 """Standard deviation, in cells, of the unsharp mask: about the blur of trilinear interpolation."""
@@ -38,7 +40,7 @@ def sharpen(space: Space, rgb: NDArray[np.float32], views: Sequence[View]) -> fl
     Sharpness is the RMS Laplacian of grey, one cell wide, interpolated between voxels as in any cut. An unsharp mask is
     linear in its gain, so the gain solves a quadratic equation in three sums.
     """
-    channels = [rgb[..., c] for c in range(3)]
+    channels = [np.ascontiguousarray(rgb[..., c]) for c in range(3)]
     edges = side_by_side(lambda values: values - ndimage.gaussian_filter(values, EDGE_SIGMA), channels)
     greys = side_by_side(lambda three: (three[0] + three[1] + three[2]) / np.float32(3), (channels, edges))
     core = space.cells[space.depth > MIN_DEPTH]
@@ -55,15 +57,34 @@ def sharpen(space: Space, rgb: NDArray[np.float32], views: Sequence[View]) -> fl
     gain = (-b + np.sqrt(max(b * b - c * (a - wanted), 0))) / c if c > 0 and a < wanted else 0.0
     gain = float(np.clip(gain, 0, MAX_GAIN))
 
-    def sharpened(one: tuple[NDArray[np.float32], NDArray[np.float32]]) -> NDArray[np.float32]:
-        values, edge = one
-        # Overshoot beyond the neighbours' range would show as seams beside membranes and as coarser crumb.
-        low, high = ndimage.minimum_filter(values, 3), ndimage.maximum_filter(values, 3)
-        return np.clip(np.clip(values + gain * edge, low, high), 0, 1)
-
-    for values, result in zip(channels, side_by_side(sharpened, list(zip(channels, edges, strict=True))), strict=True):
-        values[...] = result
+    for n, (values, edge) in enumerate(zip(channels, edges, strict=True)):
+        for_each(sharpen_layer, len(values), values, edge, np.float32(gain), rgb[..., n])
     return gain
+
+
+@njit(cache=True, nogil=True)
+def sharpen_layer(
+    x: int,
+    values: NDArray[np.float32],  # [X, Y, Z]
+    edge: NDArray[np.float32],  # [X, Y, Z]
+    gain: float,
+    out: NDArray[np.float32],  # [X, Y, Z]
+) -> None:
+    """Adds `gain` times the edge to a layer, within the range of the 3x3x3 cells around each. Overshoot beyond it would
+    show as seams beside membranes and as coarser crumb."""
+    nx, ny, nz = values.shape
+    low, high = np.empty(nz, np.float32), np.empty(nz, np.float32)
+    for y in range(ny):
+        low[:], high[:] = np.inf, -np.inf
+        for i in range(max(x - 1, 0), min(x + 2, nx)):
+            for j in range(max(y - 1, 0), min(y + 2, ny)):
+                for z in range(nz):
+                    low[z], high[z] = min(low[z], values[i, j, z]), max(high[z], values[i, j, z])
+        for z in range(nz):
+            a, b = max(z - 1, 0), min(z + 1, nz - 1)
+            least, most = min(min(low[a], low[z]), low[b]), max(max(high[a], high[z]), high[b])
+            sharp = min(max(values[x, y, z] + gain * edge[x, y, z], least), most)
+            out[x, y, z] = min(max(sharp, np.float32(0)), np.float32(1))
 
 
 def _picture_reader(scaled: ScaledPicture) -> Read:
@@ -77,8 +98,7 @@ def _grid_reader(grey: NDArray[np.float32], core: NDArray[np.int16], view: View)
     first, second = 0.8 * a + 0.6 * b, 0.8 * b - 0.6 * a
 
     def read(x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
-        at = core.T + 0.37 + x * first[:, None] + y * second[:, None]
-        return ndimage.map_coordinates(grey, at, order=1, mode="nearest", output=np.float32)
+        return read_cells(grey, (core.T + 0.37 + x * first[:, None] + y * second[:, None]).T)
 
     return read
 

@@ -14,6 +14,7 @@ from training.priors.exemplar.quilting.disc import REACH, read_map, to_pixels
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs, read_maps
 from training.priors.exemplar.quilting.seams import nearest_colour
 from training.priors.exemplar.quilting.things.core import Core
+from training.priors.exemplar.sampling import read_as_scipy
 
 __all__ = ["REGIONS", "Cells", "Regions", "closed_of", "weigh_labels"]
 
@@ -84,7 +85,7 @@ class Regions:
 
     def at(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """(M,). Values of the bins at the points."""
-        return ndimage.map_coordinates(values, self.places, order=1, mode="nearest", output=np.float32)
+        return read_as_scipy(values[..., None], *self.places)[:, 0]
 
 
 def _spread(values: NDArray[np.number]) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from scipy import ndimage
 from training.priors.exemplar.noise import Noise
 from training.priors.exemplar.quilting.disc import REACH, to_pixels
 from training.priors.exemplar.quilting.rinds import Rinds
-from training.priors.exemplar.sampling import smoothstep
+from training.priors.exemplar.sampling import read_as_scipy, smoothstep
 
 __all__ = [
     "Ball",
@@ -169,8 +169,7 @@ class OwnHeight:
     def places(self, ball: Ball) -> Places:
         flat = np.stack([*ball.points[:, :2].T, np.full(len(ball.points), self.height)], -1)
         distance = self.distance(ball)
-        at = np.stack(to_pixels(ball.level[:, 0], ball.level[:, 1], len(self.held)))
-        held = ndimage.map_coordinates(self.held, at, order=1, mode="nearest", output=np.float32)
+        held = read_as_scipy(self.held[..., None], *to_pixels(ball.level[:, 0], ball.level[:, 1], len(self.held)))[:, 0]
         onset = ((1 - held) * np.minimum(distance / DRIFT_ONSET, 1))[:, None]
         x, y = _drifted(
             ball.level[:, 0], ball.level[:, 1], ball, onset * (self.drift.at(ball.points) - self.drift.at(flat))

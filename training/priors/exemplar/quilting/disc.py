@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.scene.grid import read_cells
 from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.medians import Ranks
 from training.priors.exemplar.pictures import Picture
-from training.priors.exemplar.sampling import blurred, read_as_scipy, read_bilinear, reduced, resampled
+from training.priors.exemplar.sampling import blurred, lengths, read_as_scipy, read_bilinear, reduced, resampled
 
 __all__ = [
     "DISC_PIXELS",
@@ -327,13 +328,14 @@ class BallMap:
         longitude = (np.arange(LONGITUDES) + 0.5) / LONGITUDES * 2 * np.pi
         b, a = np.meshgrid(latitude, longitude, indexing="ij")
         rays = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1) @ space.basis
-        farthest = np.linalg.norm(space.planar - np.array([0, 0, rise]), axis=1).max()
-        reach = np.arange(0, farthest + 2, 0.5)
+        farthest = lengths(space.planar - np.array([0, 0, rise])).max()
         skin = np.zeros(b.shape)
-        for n, r in enumerate(reach):
-            at = space.centre + rise * space.basis[2] + r * rays
-            inside = ndimage.map_coordinates(space.body.depth, np.moveaxis(at, -1, 0), order=1, mode="nearest") > 0
-            skin[inside] = reach[n]
+        outside = np.ones(b.shape, bool)  # so far on the way in
+        for reach in np.arange(0, farthest + 2, 0.5)[::-1]:
+            at = space.centre + rise * space.basis[2] + reach * rays[outside]
+            met = read_cells(space.body.depth, at) > 0
+            skin[outside] = np.where(met, reach, 0)
+            outside[outside] = ~met
         skin = np.pad(np.maximum(skin, 1.0), ((1, 1), (1, 1)), mode="edge")
         skin[:, 0], skin[:, -1] = skin[:, -2], skin[:, 1]
         return cls(rise, ndimage.gaussian_filter(skin, 0.7))

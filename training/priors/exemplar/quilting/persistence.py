@@ -12,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.scene.grid import read_cells
 from engine.threads import for_spans
 from training.priors.exemplar.medians import Ranks
 from training.priors.exemplar.quilting.disc import (
@@ -78,8 +79,7 @@ class Persistence:
     ) -> NDArray[np.float32]:
         """(M,). RGB distance between the colours at places (M,), (M,) and what remains at distances (M,), in radii."""
         step = np.interp(distance, (0, *DISTANCES), np.arange(len(DISTANCES) + 1))
-        at = np.stack([step, *to_pixels(x, y, self._gone.shape[1])])
-        return ndimage.map_coordinates(self._gone, at, order=1, mode="nearest", output=np.float32)
+        return read_cells(self._gone, np.stack([step, *to_pixels(x, y, self._gone.shape[1])], -1))
 
 
 def find_membranes(disc: Disc, *, walls: bool) -> NDArray[np.float32]:
