@@ -123,7 +123,7 @@ class Body:
 def read_cells(values: NDArray[np.float32], at: NDArray[np.floating]) -> NDArray[np.float32]:
     """(...) or (..., C). Values (X, Y, Z) or (X, Y, Z, C) at places (..., 3) in cells whose centres are at whole
     numbers; the values of the border continue beyond it. Bit-equal to SciPy's map_coordinates of order 1 for each
-    channel, which sums in float64, in a quarter of its time, a seventh for three channels."""
+    channel, which sums in float64, in a quarter to a half of its time, an eighth for three channels."""
     return _read(values, at, np.zeros(3), 1.0, 0.0)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from engine.scene.atoms import InteriorAtoms, SurfaceAtoms
 from engine.scene.grid import Body
-from engine.solid.octree import COARSEST, blocks_around, leaf_levels
+from engine.solid.octree import COARSEST, leaf_levels
 from engine.solid.skin_cover import COVERED, coverage_at, inward_normals, project_onto_skin
 from engine.threads import side_by_side
 
@@ -43,22 +43,18 @@ def fill(
     block = 2**COARSEST  # also without colours, so that an adaptive fill has the cells of the uniform one
     counts = -(-(np.ceil((high - low) / pitch).astype(int) + 2) // block) * block
     start = (low + high) / 2 - counts * pitch / 2
+    solid = np.empty(tuple(counts), bool)
+    rgb = None if colours is None else np.empty((*counts, 3), np.float32)
 
-    def centres_of(layer: int) -> NDArray[np.float64]:  # layer by layer: a grid of points takes six times its memory
+    def fill_layer(layer: int) -> None:  # layer by layer: a grid of points takes six times the grid's memory
         cells = np.stack(np.meshgrid([layer], *map(np.arange, counts[1:]), indexing="ij"), -1)
-        return start + (cells[0] + 0.5) * pitch
+        centres = start + (cells[0] + 0.5) * pitch
+        solid[layer] = body.at(centres) > 0
+        if rgb is not None and colours is not None:
+            rgb[layer] = colours(centres.reshape(-1, 3)).reshape(*centres.shape)
 
-    solid = np.stack(side_by_side(lambda layer: body.at(centres_of(layer)) > 0, range(counts[0])))
-    levels = np.zeros(solid.shape, np.int8)
-    if colours is not None:
-        rgb, near = np.zeros((*counts, 3), np.float32), blocks_around(solid)
-
-        def colour_layer(layer: int) -> None:
-            here = near[layer // block].repeat(block, 0).repeat(block, 1)
-            rgb[layer][here] = colours(centres_of(layer)[here])
-
-        side_by_side(colour_layer, range(counts[0]))
-        levels = leaf_levels(rgb, solid)
+    side_by_side(fill_layer, range(counts[0]))
+    levels = np.zeros(solid.shape, np.int8) if rgb is None else leaf_levels(rgb, solid)
     rng = np.random.default_rng(seed)
     means, sigmas = [], []
     for level in range(int(levels.max(initial=0)) + 1):

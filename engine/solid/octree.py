@@ -14,7 +14,7 @@ from scipy import ndimage
 from engine.scene.grid import widened
 from engine.threads import for_each
 
-__all__ = ["COARSEST", "blocks_around", "leaf_levels"]
+__all__ = ["COARSEST", "leaf_levels"]
 
 COARSEST = 3
 """Level of the largest leaves, 8 cells along the edge. One level more saves less than 1 % of the atoms."""
@@ -44,7 +44,7 @@ HALVINGS = 10
 def leaf_levels(rgb: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[np.int8]:
     """(X, Y, Z). Level of the leaf that holds each cell, 0 for a cell that is a leaf by itself.
 
-    rgb: (X, Y, Z, 3), colours at the cell centres of `blocks_around`. solid: (X, Y, Z), cells that hold
+    rgb: (X, Y, Z, 3), colours at the cell centres, also those just outside the solid. solid: (X, Y, Z), cells that hold
     matter; only blocks of such cells are merged. X, Y, Z are multiples of 2^COARSEST. The levels of neighbouring leaves
     differ by at most one. There are at most BUDGET leaves per solid cell unless MAX_TOLERANCE needs more.
     """
@@ -69,12 +69,6 @@ def leaf_levels(rgb: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[n
     for level, (size, blocks_merged) in enumerate(zip(leaf_sizes(), merged_blocks(errors, low), strict=True), 1):
         levels[upsample(blocks_merged, size)] = level
     return levels
-
-
-def blocks_around(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(X / 2^COARSEST, ...). Blocks whose colours `leaf_levels` asks for: those with solid cells (X, Y, Z), and their
-    neighbours."""
-    return widened(blocks(solid, 2**COARSEST).max(axis=(1, 3, 5)), 1)
 
 
 def leaf_sizes() -> list[int]:

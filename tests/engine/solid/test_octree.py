@@ -12,7 +12,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.constants import LATTICE_DENSITY, SOLID_DENSITY
 from engine.scene.grid import Body, Grid
 from engine.solid.fill import fill
-from engine.solid.octree import BUDGET, approximation_error, blocks_around, leaf_levels, leaf_sizes
+from engine.solid.octree import BUDGET, approximation_error, leaf_levels, leaf_sizes
 from tests.helpers.solids import NO_SURFACE
 from tests.reference import octree as reference
 from training.optimise.deblur import deblur
@@ -74,16 +74,6 @@ def test_a_third_of_the_atoms_shows_the_same_inside():
 def test_errors_are_those_of_plain_numpy(size: int):
     rgb = np.random.default_rng(2).random((16, 24, 32, 3), np.float32)
     np.testing.assert_allclose(approximation_error(rgb, size), reference.approximation_error(rgb, size), rtol=1e-5)
-
-
-def test_colours_far_from_what_is_solid_do_not_matter():
-    body = ball(64)
-    rgb = fruit(body.grid.centres().reshape(-1, 3)).reshape(*body.grid.shape, 3).astype(np.float32)
-    solid = body.depth > 0.4
-    near = blocks_around(solid).repeat(8, 0).repeat(8, 1).repeat(8, 2)
-    assert near[solid].all()
-    assert not near.all()
-    assert np.array_equal(leaf_levels(np.where(near[..., None], rgb, 0), solid), leaf_levels(rgb, solid))
 
 
 def test_leaves_change_size_by_one_level_at_a_time():
