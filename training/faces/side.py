@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.faces.bulges import oval_of, reach_of
 from training.faces.edges import MIXED, edge_strength
+from training.faces.rays import Rays
 
 __all__ = ["without_side"]
 
@@ -53,34 +53,28 @@ def without_side(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[n
     unless it is round."""
     if not mask.any():
         return mask
-    diameter = float(np.sqrt(4 / np.pi * mask.sum()))
-    middle = np.array([places.mean() for places in np.nonzero(mask)])
-    turns = np.linspace(0, 2 * np.pi, TURNS, endpoint=False)
-    rays = np.stack([np.sin(turns), np.cos(turns)])
-    reach = reach_of(mask, middle, rays)
-    if np.sqrt(np.square(reach - oval_of(turns, reach)).mean()) > ROUND * diameter:
+    seen = Rays.of(mask, TURNS)
+    depths = np.arange(round(DEEPEST * seen.diameter))
+    skin = max(round(SKIN * seen.diameter), MIXED + 1)
+    uneven = np.sqrt(np.square(seen.reach - seen.oval()).mean())
+    if uneven > ROUND * seen.diameter or len(depths) <= skin:
         return mask
-    depths = np.arange(round(DEEPEST * diameter))
-    at = middle[:, None, None] + rays[:, None] * (reach - depths[:, None])
     smooth = ndimage.gaussian_filter(rgb, (1, 1, 0))
-    colours = np.stack([ndimage.map_coordinates(smooth[..., c], at, order=1, mode="nearest") for c in range(3)], -1)
-    skin = max(round(SKIN * diameter), MIXED + 1)
+    colours = np.stack([seen.read(smooth[..., c], seen.reach - depths[:, None]) for c in range(3)], -1)
     found = max((_side(colours, skin, first) for first in range(0, TURNS, TURNS // 12)), key=np.sum)
     for _ in range(2):  # once more, seen from its own middle
         if not found.any():
             return mask
         found = _side(colours, skin, _middle(found))
-    wide = np.flatnonzero(found)
-    if found.mean() < LEAST * diameter or found.max() > len(depths) - 2 * MIXED:
+    if found.mean() < LEAST * seen.diameter or found.max() > len(depths) - 2 * MIXED:
         return mask
-    strength = edge_strength(rgb)
-    under, around = (_steepness(rgb, strength, middle, rays[:, wide], reach[wide] - deep) for deep in (found[wide], 0))
-    if around > FADES * under:
+    wide, strength = found > 0, edge_strength(rgb)
+    (under, change), (around, contrast) = (
+        _edge_along(rgb, strength, seen, wide, radii) for radii in (seen.reach - found, seen.reach)
+    )
+    if around * change > FADES * under * contrast:
         return mask
-    rows, columns = (axis - start for axis, start in zip(np.indices(mask.shape), middle, strict=True))
-    turn = np.arctan2(rows, columns) % (2 * np.pi)
-    inner = np.where(found > 0, reach - found, np.inf)
-    return mask & (np.hypot(rows, columns) <= np.interp(turn, turns, np.minimum(inner, reach + 2), period=2 * np.pi))
+    return mask & seen.within(np.where(wide, seen.reach - found, seen.reach + 2), mask.shape)
 
 
 def _side(colours: NDArray[np.float32], skin: int, towards: int) -> NDArray[np.float64]:
@@ -100,11 +94,12 @@ def _side(colours: NDArray[np.float32], skin: int, towards: int) -> NDArray[np.f
         deep += going
     deep = ndimage.median_filter(deep, 5, mode="wrap")
     wider = np.where(far, 0, deep - np.median(deep[far]))
-    parts, _ = ndimage.label(np.roll(wider, -towards - TURNS // 2) > MIXED)  # in the middle, so that none is torn
-    if not parts.any():
+    turned = np.roll(wider, TURNS // 2 - towards)  # with the side in the middle, so that it is not torn
+    parts, count = ndimage.label(turned > MIXED)
+    if count == 0:
         return np.zeros(TURNS)
-    largest = ndimage.sum_labels(np.roll(wider, -towards - TURNS // 2), parts, np.arange(1, parts.max() + 1)).argmax()
-    return np.where(np.roll(parts, towards + TURNS // 2) == largest + 1, wider, 0.0)
+    largest = 1 + ndimage.sum_labels(turned, parts, np.arange(1, count + 1)).argmax()
+    return np.roll(np.where(parts == largest, turned, 0.0), towards - TURNS // 2)
 
 
 def _apart(colours: NDArray[np.float32], palette: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -121,20 +116,16 @@ def _middle(side: NDArray[np.float64]) -> int:
     return int(np.round(np.angle((side * np.exp(1j * turns)).sum()) * TURNS / (2 * np.pi))) % TURNS
 
 
-def _steepness(
+def _edge_along(
     rgb: NDArray[np.float32],
     strength: NDArray[np.float32],
-    middle: NDArray[np.float64],
-    rays: NDArray[np.float64],
+    seen: Rays,
+    wide: NDArray[np.bool_],
     radii: NDArray[np.float64],
-) -> float:
-    """How steep the edge is along an outline of these radii (N,) along rays (2, N), at the steepest place nearby: its
-    change of colour in a pixel over that across all of it."""
-
-    def at(image: NDArray[np.float32], steps: NDArray[np.int64]) -> NDArray[np.float32]:
-        places = middle[:, None, None] + rays[:, None] * (radii + steps[:, None])
-        return np.asarray(ndimage.map_coordinates(image, places, order=1, mode="nearest"))
-
-    steepest = at(strength, np.arange(-MIXED, MIXED + 1)).max(0)
-    ends = np.stack([at(rgb[..., c], np.array([-2 * MIXED, 2 * MIXED])) for c in range(3)], -1)
-    return float(steepest.sum() / np.linalg.norm(ends[0] - ends[1], axis=-1).sum())
+) -> tuple[float, float]:
+    """The changes of colour across an outline of these radii (N,) in the directions `wide` (N,), summed: in a pixel, at
+    the steepest place nearby, and across all of the edge."""
+    steepest = seen.read(strength, radii + np.arange(-MIXED, MIXED + 1)[:, None]).max(0)
+    ends = radii + np.array([[-2 * MIXED], [2 * MIXED]])
+    inner, outer = np.stack([seen.read(rgb[..., c], ends) for c in range(3)], -1)
+    return float(steepest[wide].sum()), float(np.linalg.norm(inner - outer, axis=-1)[wide].sum())

@@ -91,3 +91,10 @@ def test_a_wedge_keeps_its_rind() -> None:
     half = face & (np.arange(SIZE)[:, None] > SIZE / 2)
     wedge = np.where(half[..., None], rgb, 1).astype(np.float32)
     assert np.array_equal(without_side(wedge, half), half)
+
+
+@pytest.mark.parametrize("diameter", [1, 10.5, 15, 19, 21, 23, 27])
+def test_a_face_too_small_to_tell_is_kept(diameter: float) -> None:
+    face = np.hypot(*(np.mgrid[:48, :48] - 23.5)) < diameter / 2
+    rgb = np.random.default_rng(0).random((48, 48, 3), np.float32)
+    assert np.array_equal(without_side(rgb, face), face)
