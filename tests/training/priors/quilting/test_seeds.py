@@ -15,7 +15,7 @@ from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.texture import FINE, take_apart
-from training.priors.exemplar.quilting.things.candidates import in_own_planes, strewn
+from training.priors.exemplar.quilting.things.candidates import CANDIDATES, Candidates, in_own_planes, strewn
 from training.priors.exemplar.quilting.things.packing import pack
 from training.priors.exemplar.quilting.things.seeds import Seeds
 from training.priors.exemplar.quilting.things.stamps import Things
@@ -42,6 +42,11 @@ def around(count: int, radius: float = RING) -> list[tuple[float, float, float]]
     """Seeds evenly around the middle, each pointing outwards."""
     turns = np.arange(count) / count * 2 * np.pi + 0.1
     return [(radius * np.cos(t), radius * np.sin(t), t) for t in turns]
+
+
+def all_of(tried: Candidates) -> NDArray[np.bool_]:
+    """All of them may be laid."""
+    return np.ones(len(tried.stamps), bool)
 
 
 def found(disc: Disc, is_horizontal: bool = True) -> Seeds:
@@ -97,7 +102,7 @@ def test_cuts_show_as_many_seeds_as_pictures_and_as_large(horizontal: bool) -> N
     counts, areas = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        made = pack(things, [], strewn(things, int(horizontal), rng), lambda tried: ~tried.are_close, rng)
+        made = pack(things, [], strewn(things, int(horizontal), CANDIDATES, rng, in_rows=True), all_of, rng)
         assert made is not None
         size = 400
         at = ((np.arange(size) + 0.5) / size * 2 - 1).astype(np.float32)
@@ -117,8 +122,8 @@ def test_a_seed_is_whole_in_every_plane_through_it() -> None:
     disc = face([(0.5, 0.0, 0.0)])
     seeds = found(disc)
     things = [seeds.things(disc)]
-    laid, _ = in_own_planes(things, [0.0], 0)[0]
-    made = pack(things, [laid], laid.chosen(np.zeros(0, int)), lambda tried: tried.are_close, np.random.default_rng(0))
+    laid = in_own_planes(things, [0.0], 0)[0].laid
+    made = pack(things, [laid], laid.chosen(np.zeros(0, int)), all_of, np.random.default_rng(0))
     assert made is not None
     middle, (long, short) = laid.middles[0], seeds.axes[0]
     assert middle == pytest.approx([0.5, 0, 0], abs=0.01)
@@ -177,4 +182,4 @@ def test_things_of_no_picture_are_none() -> None:
     empty = Seeds.none().things(face([]))
     assert isinstance(empty, Things)
     rng = np.random.default_rng(0)
-    assert pack([empty], [], strewn([empty], 1, rng), lambda tried: tried.are_close, rng) is None
+    assert pack([empty], [], strewn([empty], 1, CANDIDATES, rng, in_rows=True), all_of, rng) is None

@@ -6,6 +6,7 @@ the outlines of the body and of the photographed thing are.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -59,6 +60,8 @@ DIRECTIONS = 720
 
 LATITUDES, LONGITUDES = 90, 180
 """Directions in which the skin of the body is sampled: two degrees, finer than any dent that a cut face shows."""
+
+LEAST_SHARE = 0.1
 
 RINGS, CORE_RINGS = 24, 6
 """Rings in which the colours of two pictures are matched, and how many of them are the core: too small for a median to
@@ -239,23 +242,37 @@ def enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return resampled(values, DISC_PIXELS, 1 / REDUCTION)
 
 
-def match_light(disc: Disc, to: Disc) -> Disc:
+def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()) -> Disc:
     """The disc in the light of another one. What two fruits have in common lies at the same depth, so the medians of
     their rings are pairs of colours, and each colour is moved like the rings that resemble it: a white core stays white
     beside flesh that is yellow in one light and orange in the other. In the rind the depth decides as well. Rings are
-    compared beside the middle alone: above and below it a radial picture shows the core as far out as its poles."""
+    compared beside the middle alone: above and below it a radial picture shows the core as far out as its poles.
+
+    `chambers`: where both have grains (P, P), if they have any. These are one more pair, wherever they lie.
+    """
     x, y = disc_grid()
     level = np.abs(y) < np.abs(x)
-    colours, wanted = (ring_medians(d, RINGS, level)[CORE_RINGS:] for d in (disc, to))
+    ring = (disc_radius() * RINGS).astype(int)
+    where = [level & ~grains for grains in chambers] or [level, level]
+    pixels = np.bincount(ring[level], minlength=RINGS)
+    left = np.min([np.bincount(ring[w], minlength=RINGS)[:RINGS] / pixels[:RINGS] for w in where], axis=0)
+    rings = np.flatnonzero((left > LEAST_SHARE) & (np.arange(RINGS) >= CORE_RINGS))
+    colours, wanted = (ring_medians(d, RINGS, w)[rings] for d, w in zip((disc, to), where, strict=True))
     depth = np.maximum(disc_radius(), RIND_RADIUS)
-    rings = np.arange(CORE_RINGS, RINGS)
-    middles = np.maximum((rings + 0.5) / RINGS, RIND_RADIUS)
-    area = (2 * rings + 1)[:, None, None]
+    middles = list(np.maximum((rings + 0.5) / RINGS, RIND_RADIUS))
+    area = (2 * rings + 1) * left[rings]
+    if chambers:
+        grains = [np.median(d.rgb[w], axis=0)[None] for d, w in zip((disc, to), chambers, strict=True)]
+        colours, wanted = (np.concatenate(both) for both in zip((colours, wanted), grains, strict=True))
+        middles.append(depth)
+        area = np.append(area, RINGS * RINGS * chambers[0].mean())
+    area = area[:, None, None]
 
     def moved(rows: slice) -> NDArray[np.floating]:
         unlike = np.stack(
             [
-                np.square(disc.rgb[rows] - colour).sum(-1) / ALIKE**2 + np.square((depth[rows] - middle) / NEAR)
+                np.square(disc.rgb[rows] - colour).sum(-1) / ALIKE**2
+                + (np.square((depth[rows] - middle) / NEAR) if np.isscalar(middle) else 0)
                 for colour, middle in zip(colours, middles, strict=True)
             ]
         )
@@ -274,7 +291,7 @@ def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True)
     order = np.argsort(ring, kind="stable")
     ends = np.searchsorted(ring[order], np.arange(rings + 1))
     of_ring = np.split(disc.rgb.reshape(-1, 3)[order], ends)[1:-1]
-    return np.array([np.median(colours, axis=0) for colours in of_ring], np.float32)
+    return np.array([np.median(c, axis=0) if len(c) else np.full(3, np.nan) for c in of_ring], np.float32)
 
 
 def even_around(disc: Disc) -> Disc:

@@ -15,7 +15,7 @@ from training.priors.exemplar.quilting.chunks import OwnAzimuths, OwnHeight
 from training.priors.exemplar.quilting.disc import PIXEL
 from training.priors.exemplar.quilting.labels import Label
 
-__all__ = ["Beside"]
+__all__ = ["Beside", "half_film"]
 
 CROSSING = 2
 """Cells from own planes of both families within which the nearer plane is shown."""
@@ -24,6 +24,12 @@ FILM_SEAM, FILM_REACH = 1.3, 3.0
 """Cells from an own plane at which the seam of a film of two cells ends (`quilt.SEAM_WIDTH`), and up to which labels
 are moved towards the plane as the film becomes thinner. With 2.3 and 5.0, what ends near the plane ends at a straight
 line."""
+
+
+def half_film(film: float, cell: float) -> float:
+    """Radii. Distance from an own plane up to which a `film` shows its picture: at least half a pixel, at most a
+    `cell`."""
+    return min(max(film, PIXEL) / 2, cell)
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,7 @@ class Beside:
     def beyond_films(self, points: NDArray[np.float32], film: float, cell: float) -> NDArray[np.float32]:
         """(M, 3). Where labels are looked up for the points (M, 3), so that films are as thin as `film`, but not
         thinner than a pixel or thicker than two cells; `cell` is the width of a cell."""
-        there, half = points.copy(), min(max(film, PIXEL) / 2, cell)
+        there, half = points.copy(), half_film(film, cell)
         ends = np.array([0, FILM_SEAM * half, FILM_REACH * cell])
         for far, normals in zip(self.far, self.normals, strict=True):
             rows = np.flatnonzero(np.abs(far) < ends[-1])

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.inside import Kind
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, disc_grid, read_map, to_pixels
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, read_map, to_pixels
+from training.priors.exemplar.quilting.films import Beside
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt
 
@@ -40,11 +41,7 @@ class _Face:
     @classmethod
     def of(cls, source: Source) -> _Face:
         until = source.relief.closed_until(source.rind)
-        grains = source.grains
-        x, y = disc_grid()
-        for (u, v), radius in zip(grains.places, grains.radii, strict=True):
-            away = np.square(x - u) + np.square(y - v)
-            until = np.maximum(until, np.sqrt(np.maximum(radius * radius - away, 0)) - (away >= radius * radius))
+        until = np.where(source.grains.regions, np.maximum(until, 0), until)
         return cls(source.rind, source.membranes, until.astype(np.float32))
 
     def at(self, x: NDArray[np.floating], y: NDArray[np.floating], distance: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -73,10 +70,11 @@ class QuiltKinds:
         for n, label in enumerate(quilt.labels):
             rows = np.flatnonzero(nearest == n)
             places = label.chunks.places(quilt.ball(points[rows]))
+            in_film = places.distance < quilt.ends(film)
             for m, source in enumerate(label.sources):
                 face, of_it = self._faces[id(source)], places.picture == m
-                out[rows[of_it]] = face.at(places.x[of_it], places.y[of_it], places.distance[of_it])
-        for solids in (quilt.cores, quilt.packing):
-            if solids is not None:
-                out[solids.read(points)[1] > COVERED] = Kind.THING
+                distance = np.where(in_film & source.has_grains, 0, places.distance)[of_it]
+                out[rows[of_it]] = face.at(places.x[of_it], places.y[of_it], distance)
+        for _, cover in quilt.solids(points, Beside.of(quilt.labels, points), film):
+            out[cover > COVERED] = Kind.THING
         return out

@@ -13,30 +13,32 @@ from engine.threads import side_by_side
 from training.priors.exemplar.quilting.chunks import Ball, Chunks, Places, Rows
 from training.priors.exemplar.quilting.disc import (
     Disc,
-    disc_grid,
-    disc_radius,
     evened,
     filled_in,
     read_map,
-    ring_medians,
     smooth_disc,
 )
 from training.priors.exemplar.quilting.persistence import Persistence, find_membranes
-from training.priors.exemplar.quilting.relief import Relief
+from training.priors.exemplar.quilting.relief import BLEND, Relief
 from training.priors.exemplar.quilting.rinds import goes_inwards, rind_of
 from training.priors.exemplar.quilting.texture import FINE, WIDTH, Parts, take_apart
 from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import Core
 from training.priors.exemplar.quilting.things.grains import Grains
 from training.priors.exemplar.quilting.things.seeds import Seeds
-from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.sampling import lengths
 from training.priors.exemplar.strata import beside_own
 
-__all__ = ["Label", "Source", "blended_tones", "distance_across", "made_of_grains", "read_discs", "read_maps"]
-
-FINE_RINGS, LARGEST = 64, 0.16
-"""Number of rings from whose median colours things stand out, and the largest half width of things in radii."""
+__all__ = [
+    "Label",
+    "Source",
+    "blended_tones",
+    "distance_across",
+    "grains_of",
+    "made_of_grains",
+    "read_discs",
+    "read_maps",
+]
 
 FAINT_MEMBRANE = 0.05
 """Least surety of a membrane at which a place is not taken for texture: faint membranes would be scattered."""
@@ -69,9 +71,6 @@ class Source:
     """Parts of `even`."""
     relief: Relief
     """Relief of the things in `parts`."""
-    closed: NDArray[np.float32]
-    """(P, P). How far grains stand out, which chunks show; 0 in a picture without any, whose closed things are laid
-    whole."""
     blurred: Disc
     tones: Disc
     """Tones of `even` without closed things: those of what is left where they end."""
@@ -88,15 +87,15 @@ class Source:
     is_horizontal: bool
 
     @property
-    def things(self) -> Things:
-        """Its things that are laid whole, as solids: its grains, or else its seeds."""
-        made = self.grains if len(self.grains.radii) else self.seeds
-        return made.things(self.even)
+    def has_grains(self) -> bool:
+        """Whether it is made of grains."""
+        return len(self.grains.radii) > 0
 
     @cached_property
     def bare(self) -> Source:
-        """The same picture without its seeds and its core, which are laid whole; for chunks away from its own plane."""
-        laid = self.seeds.regions | self.core.region
+        """The same picture without its seeds or grains and its core, which are laid whole; for chunks away from its own
+        plane."""
+        laid = self.seeds.regions | self.grains.regions | self.core.region
         if not laid.any():
             return self
 
@@ -111,6 +110,7 @@ class Source:
             parts=replace(self.parts, things=things),
             relief=relief,
             blurred=smooth_disc(Disc(without(self.disc.rgb)), BLUR),
+            grains=Grains.none(),
         )
 
     def reduced(self, n: int) -> Source:
@@ -120,25 +120,28 @@ class Source:
         return replace(self, parts=parts, relief=self.relief.reduced(n), **shown)
 
     @classmethod
-    def of(cls, disc: Disc, is_horizontal: bool) -> Source:
-        """What is known of a picture before its core is found; `with_core` takes it apart once all things are known."""
+    def of(cls, disc: Disc, is_horizontal: bool, grains: Grains | None = None) -> Source:
+        """What is known of a picture before its core is found; `with_core` takes it apart once all things are known.
+        `grains`: those of the picture, if they were found already."""
         persistence = Persistence(disc)
         rind = rind_of(disc, is_horizontal)[0]
         even = evened(disc, is_horizontal)
         parts, relief = _apart(even, rind, FINE)
-        grains = Grains.of(parts.things, relief.heights)
+        grains = grains or Grains.of(parts.things, relief.heights)
         has_grains = len(grains.radii) > 0
-        nothing = np.zeros(disc.rgb.shape[:2], np.float32)
+        hidden = grains.regions | (relief.closed_until(rind) >= 0)
+        if has_grains:
+            parts, relief = _apart(even, rind, FINE, grains.regions)
+            relief = relief.closing(parts.things, parts.strength, grains.regions, grains.regions, BLEND / 2)
         return cls(
             disc,
             even,
             parts,
             relief,
-            _closed_things(even, persistence) if has_grains else nothing,
             smooth_disc(disc, BLUR),
-            smooth_disc(Disc(filled_in(even.rgb, relief.closed_until(rind) >= 0)), TONE),
+            smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE),
             persistence,
-            find_membranes(disc, walls=not has_grains) if is_horizontal else nothing,
+            find_membranes(disc, walls=not has_grains) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32),
             rind,
             grains,
             Seeds.none() if has_grains else Seeds.of(relief, is_horizontal, rind),
@@ -170,10 +173,15 @@ def _apart(even: Disc, rind: float, width: float, things: NDArray[np.bool_] | No
     return parts, Relief.of(parts.things, parts.strength, rind)
 
 
+def grains_of(disc: Disc, is_horizontal: bool) -> Grains:
+    """The grains of a picture, if it shows things that lie close together all over."""
+    parts, relief = _apart(evened(disc, is_horizontal), rind_of(disc, is_horizontal)[0], FINE)
+    return Grains.of(parts.things, relief.heights)
+
+
 def made_of_grains(disc: Disc, is_horizontal: bool) -> bool:
     """Whether a picture shows things that lie close together all over."""
-    parts, relief = _apart(evened(disc, is_horizontal), rind_of(disc, is_horizontal)[0], FINE)
-    return len(Grains.of(parts.things, relief.heights).radii) > 0
+    return len(grains_of(disc, is_horizontal).radii) > 0
 
 
 @dataclass(frozen=True)
@@ -185,13 +193,17 @@ class Label:
     is_horizontal: bool
     is_own: bool
 
-    def _read_relief(self, places: Places) -> NDArray[np.float32]:
-        """(M, 4). Colours and strength of texture that the places show."""
+    def _read_relief(self, places: Places, film: float = 0.0) -> NDArray[np.float32]:
+        """(M, 4). Colours and strength of texture that the places show. Grains are shown as they are in their picture
+        up to a distance `film` in radii from its own plane."""
         out = np.empty((len(places.x), 4), np.float32)
         for n, source in enumerate(self.sources):
             rows = places.of(n, self.sources)
             x, y = places.x[rows], places.y[rows]
-            out[rows] = source.relief.read(x, y, places.distance[rows] * self._free(places, rows, source))
+            distance = places.distance[rows] * self._free(places, rows, source)
+            if source.has_grains:
+                distance = np.where(distance < film, np.float32(0), distance)
+            out[rows] = source.relief.read(x, y, distance)
         return out
 
     def _free(self, places: Places, rows: Rows, source: Source) -> NDArray[np.float32]:
@@ -204,10 +216,16 @@ class Label:
         return self.in_own_tones(read_discs(places, [s.tones for s in self.sources]), places, crossing)
 
     def read(
-        self, places: Places, crossing: NDArray[np.float32], texture: NDArray[np.float32], layer: float
+        self,
+        places: Places,
+        crossing: NDArray[np.float32],
+        texture: NDArray[np.float32],
+        layer: float,
+        film: float,
     ) -> NDArray[np.float32]:
-        """(M, 3). What the places show, with texture (M, 3), or the picture's own within a `layer` of own planes."""
-        shown = self._read_relief(places)
+        """(M, 3). What the places show, with texture (M, 3), or the picture's own within a `layer` of own planes, and
+        with the picture's own grains within a `film`."""
+        shown = self._read_relief(places, film)
         rgb, strength = self.in_own_tones(shown[:, :3], places, crossing), shown[:, 3:4]
         if not self.is_own:
             return rgb + strength * texture
@@ -218,15 +236,15 @@ class Label:
         """(M, 3). The things that the places show, in even tones."""
         return self._read_relief(places)[:, :3]
 
-    def gone(self, places: Places, shown: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(M,), (M,). Colour that does not persist from the pictures' planes to the places, and how much of it is still
-        in what they show (M, 3) in even tones."""
+    def left(self, places: Places, shown: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M,). How much colour that does not persist from the pictures' planes to the places is still in what they
+        show (M, 3) in even tones."""
         gone = np.empty(len(places.x), np.float32)
         for n, source in enumerate(self.sources):
             rows = places.of(n, self.sources)
             gone[rows] = source.persistence.gone(places.x[rows], places.y[rows], places.distance[rows])
         closed = shown - read_discs(places, [s.parts.things for s in self.sources])
-        return gone, np.maximum(gone - lengths(closed), 0)
+        return np.maximum(gone - lengths(closed), 0)
 
     def in_own_tones(
         self, even: NDArray[np.float32], places: Places, crossing: NDArray[np.float32]
@@ -240,17 +258,6 @@ class Label:
         share = np.exp(-np.square(places.distance / OWN_TONES)) - np.exp(-np.square(crossing / OWN_TONES))
         tones = read_discs(places, [s.disc for s in self.sources]) - read_discs(places, [s.even for s in self.sources])
         return even + np.maximum(share, 0)[:, None] * tones
-
-
-def _closed_things(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
-    """(P, P). How far the colours of closed things are from those of their ring and of what is around them."""
-    x, y = disc_grid()
-    medians = ring_medians(disc, FINE_RINGS)
-    at = disc_radius() * FINE_RINGS - 0.5
-    ring = np.stack([np.interp(at, np.arange(FINE_RINGS), medians[:, c]) for c in range(3)], -1)
-    around = persistence.gone(x.ravel(), y.ravel(), np.full(x.size, LARGEST)).reshape(x.shape)
-    stands_out = np.minimum(lengths(disc.rgb - ring), around)
-    return stands_out.astype(np.float32)
 
 
 def distance_across(labels: list[Label], label: Label, ball: Ball) -> NDArray[np.float32]:

@@ -10,16 +10,15 @@ pictures as solids (`relief`); their texture comes from thin layers (`texture`).
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from engine.threads import side_by_side
-from training.priors.exemplar.quilting.choice import REGIONS, Regions, closed_of, weigh_labels
+from training.priors.exemplar.quilting.choice import weigh_labels
 from training.priors.exemplar.quilting.chunks import (
     OWN_AZIMUTHS,
     SECTOR_SETS,
@@ -36,19 +35,20 @@ from training.priors.exemplar.quilting.disc import (
     PIXEL,
     Disc,
     match_light,
-    read_map,
 )
-from training.priors.exemplar.quilting.films import Beside
-from training.priors.exemplar.quilting.labels import Label, Source, blended_tones, distance_across
+from training.priors.exemplar.quilting.films import Beside, half_film
+from training.priors.exemplar.quilting.labels import Label, Source, blended_tones, distance_across, grains_of
+from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
-from training.priors.exemplar.quilting.things.candidates import Candidates, in_own_planes, strewn
+from training.priors.exemplar.quilting.things.candidates import CANDIDATES, Candidates, Placed, in_own_planes, strewn
+from training.priors.exemplar.quilting.things.chambers import Chambers
 from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import Core
 from training.priors.exemplar.quilting.things.cores import Cores, find_cores
-from training.priors.exemplar.quilting.things.packing import REACHES, Packing, pack
-from training.priors.exemplar.quilting.things.stamps import Things
+from training.priors.exemplar.quilting.things.packing import CLEAR, Packing, pack
+from training.priors.exemplar.quilting.things.tessellation import TIMES, Tessellation, off_plane
 from training.priors.exemplar.sampling import lengths, read_trilinear, smoothstep
 from training.priors.prior import Progress
 
@@ -66,12 +66,6 @@ STEPS = 5
 MARGIN = 3
 """Cells around the ball."""
 
-FIRST_GAIN, GAIN_STEP, MOST_GAIN = 2.0, 1.5, 12.0
-"""Gain of a unit of colour by which a grain stands out: its first value; the largest factor by which a sweep changes
-it, so that there is as much as the pictures show there; and its largest value. Without it there is too little: a grain
-costs the seams of its ends, and flesh none. Nothing is gained by what else stands out, as seeds and cores are laid
-whole: it showed an orange's pith as chips in its pulp."""
-
 OWN_ALONE, OWN_REACH = 0.015, 0.04
 """Distance in radii from a picture's own plane over which its tones cease to be the only ones, so that no step of tones
 shows there; and from where nothing of that is left."""
@@ -82,12 +76,6 @@ SEAM_COST = 0.0075
 SEAM_WIDTH = 0.6
 """Difference of two labels' trilinear weights within which they blend: two thirds of a cell, under a hundredth of a
 radius. Without it a seam shows as a crack as soon as a cell is many pixels wide."""
-
-GRAIN_COVER = 0.5
-"""Least part that grains cover around a ball that is to show a grain, in the quilt and in a radial picture."""
-
-GRAIN_STEPS = 0.6 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]).astype(np.float32)
-"""Places in such a ball, over its radius, at which the cover in the quilt is read."""
 
 HEIGHTS, ANYWHERE = 0.1, 0.05
 """Standard deviation in radii of the heights of a horizontal picture's seeds around those of radial ones, which lie
@@ -115,10 +103,10 @@ class Quilt:
     """Texture of horizontal pictures (True) and of radial ones (False), as far as there are any."""
     tones: NDArray[np.float32]
     """(X, Y, Z, 3). Tones at the cells, without steps at seams."""
-    things: list[Things]
-    """Things of the pictures that are laid whole, as solids."""
-    packing: Packing | None
-    """Packing of these things, if there are any."""
+    seeds: Packing | None
+    """The pictures' seeds as solids, if they have any."""
+    grains: Tessellation | None
+    """Their grains, if they have any."""
 
     def read(self, points: NDArray[np.float32], film: float = PIXEL) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1].
@@ -158,21 +146,37 @@ class Quilt:
         ends = np.cumsum(np.bincount(both, minlength=len(self.labels)))
         for label, of_it in zip(self.labels, np.split(order, ends[:-1]), strict=True):
             if len(of_it):
-                shown[of_it] = self._shown(label, points[rows[of_it]], tones[rows[of_it]])
+                shown[of_it] = self._shown(label, points[rows[of_it]], tones[rows[of_it]], film)
         rgb = weight[:, None] * shown[: len(points)]
         rgb[second] += (1 - weight[second, None]) * shown[len(points) :]
-        for solids in (self.cores, self.packing):
-            if solids is not None:
-                things, cover = solids.read(points)
-                rgb += things - cover[:, None] * rgb
+        for things, cover in self.solids(points, beside, film):
+            rgb += things - cover[:, None] * rgb
         return np.clip(rgb, 0, 1)
 
-    def _shown(self, label: Label, points: NDArray[np.float32], tones: NDArray[np.float32]) -> NDArray[np.float32]:
+    def solids(
+        self, points: NDArray[np.float32], beside: Beside, film: float
+    ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """(M, 3) and (M,) for cores, seeds and grains, as far as there are any: their colours at points (M, 3) that lie
+        so beside own planes, multiplied by how much they cover, and that cover. Range [0, 1]."""
+        for solids in (self.cores, self.seeds):
+            if solids is not None:
+                yield solids.read(points)
+        if self.grains is not None:  # where its picture is shown, so are its grains
+            off = np.abs(beside.far).min(0) - self.ends(film)
+            yield self.grains.read(points, np.clip(off / BLEND, 0, 1).astype(np.float32))
+
+    def ends(self, film: float) -> float:
+        """Radii. Distance from an own plane at which a `film` ends."""
+        return half_film(film, 2 / LEVELS[-1])
+
+    def _shown(
+        self, label: Label, points: NDArray[np.float32], tones: NDArray[np.float32], film: float
+    ) -> NDArray[np.float32]:
         """(M, 3). What a label shows at points (M, 3), in the tones (M, 3) of its neighbourhood."""
         ball = self.ball(points)
         places, crossing = label.chunks.places(ball), distance_across(self.labels, label, ball)
         field = self.textures[label.is_horizontal]
-        rgb = label.read(places, crossing, field.at(ball), field.thickness)
+        rgb = label.read(places, crossing, field.at(ball), field.thickness, self.ends(film) + float(BLEND))
         moved = tones - label.read_tones(places, crossing)
         # Flatter than a Gaussian: of a small difference nothing may be left at the edge of a thin film.
         moved *= np.exp(-np.square(np.square(moved).sum(-1, keepdims=True) / (2 * ALIKE**2)))
@@ -208,9 +212,9 @@ class Quilt:
         coarse = {id(s): s.reduced(n) for label in self.labels for s in label.sources}
         labels = [replace(label, sources=[coarse[id(s)] for s in label.sources]) for label in self.labels]
         textures = {k: t.reduced(n) for k, t in self.textures.items()}
-        things = [t.reduced(n) for t in self.things]
-        packing = None if self.packing is None else self.packing.reduced(things)
-        return replace(self, labels=labels, textures=textures, packing=packing, things=things)
+        seeds = self.seeds and self.seeds.reduced(n)
+        grains = self.grains and self.grains.reduced(n)
+        return replace(self, labels=labels, textures=textures, seeds=seeds, grains=grains)
 
 
 def make_quilt(
@@ -220,9 +224,7 @@ def make_quilt(
     unit ball. Bit-equal for a seed."""
     rinds, across, along = _make_sources(horizontal, radial, height)
     labels = _make_labels(across, along, height, seed)
-    has_grains = any(source.closed.any() for source in [*across, *along])
     is_layered = _are_layered([*across, *along])
-    gain = np.full(REGIONS, FIRST_GAIN)
     chosen = number = None
     for step, size in enumerate(LEVELS):
         progress(step / len(LEVELS))
@@ -235,17 +237,8 @@ def make_quilt(
         else:
             nearest, _ = two_nearest(before, coarse, _in_cells(points, LEVELS[step - 1]), len(labels))
             chosen = nearest[:, 0].copy()
-        costs = at_cells.costs
-        if has_grains:
-            regions = Regions.of(ball)
-            wanted = regions.means(closed_of(along or across, ball, not along))
         for _ in range(STEPS):
-            if has_grains:
-                shown = regions.means(np.take_along_axis(at_cells.closed, chosen[:, None], 1)[:, 0])
-                ratio = (wanted + 1e-4) / (shown + 1e-4)
-                gain = np.minimum(gain * np.clip(ratio, 1 / GAIN_STEP, GAIN_STEP), MOST_GAIN)
-                costs = at_cells.costs - regions.at(gain)[:, None] * at_cells.gains
-            improve_labels(chosen, number, cells, at_cells.colours, costs, SEAM_COST * size)
+            improve_labels(chosen, number, cells, at_cells.colours, at_cells.costs, SEAM_COST * size)
     assert number is not None and chosen is not None
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
@@ -289,6 +282,21 @@ def _make_sources(
         return Source.of(rinds.even(lit, depths, is_horizontal), is_horizontal)
 
     sources = side_by_side(known, each)
+    if all(source.has_grains for source in sources):
+
+        def relit(one: tuple[Source, tuple[Disc, NDArray[np.float64], bool]]) -> Source:
+            """In the light of the first, grains like grains; what they are is seen in the picture's own light."""
+            source, (disc, depths, is_horizontal) = one
+            if disc is first:
+                return source
+            own = rinds.even(disc, depths, is_horizontal)
+            grains = grains_of(own, is_horizontal)
+            if not grains.regions.any():
+                return source
+            chambers = grains.regions, sources[0].grains.regions
+            return Source.of(match_light(own, sources[0].disc, chambers), is_horizontal, grains)
+
+        sources = side_by_side(relit, list(zip(sources, each, strict=True)))
     across, along = sources[: len(horizontal)], sources[len(horizontal) :]
     return rinds, *_with_cores(across, along, height)
 
@@ -323,45 +331,28 @@ def _assembled(
         if sources
     }
     tones = blended_tones(labels, ball, number, LEVELS[-1], chosen, places)
-    things = [source.things for source in [*across, *along]]
-    own = [source.seeds.things(source.disc) for source in [*across[:1], *along[:OWN_AZIMUTHS]]]  # in their own light
-    ground = Quilt(rinds, labels, number, chosen, textures, tones, [*things, *own], None)
-    return replace(ground, packing=_packed(ground, things, own, across, along, seed, places))
+    ground = Quilt(rinds, labels, number, chosen, textures, tones, None, None)
+    planes = [label for label in labels if label.is_own]
+    seeds = _packed(ground, planes, across, along, seed)
+    return replace(ground, seeds=seeds, grains=_tessellated(ground, planes, across, along, seed))
 
 
-def _packed(
-    ground: Quilt,
-    things: list[Things],
-    own: list[Things],
-    across: list[Source],
-    along: list[Source],
-    seed: int,
-    places: list[Places],
-) -> Packing | None:
-    """The pictures' things as solids in the quilt. In own planes, these are the pictures' `own` seeds where they show
-    them; elsewhere, grains where both the chosen chunks and the radial pictures show some, and seeds where their
-    surroundings are like those in their picture, at the heights of the seeds of radial pictures."""
+def _packed(ground: Quilt, planes: list[Label], across: list[Source], along: list[Source], seed: int) -> Packing | None:
+    """The pictures' seeds as solids in the quilt. In own planes, these are the pictures' own seeds where they show
+    them; elsewhere, they lie where their surroundings are like those in their picture, at the heights of the seeds of
+    radial pictures."""
+    things = [source.seeds.things(source.even) for source in [*across, *along]]
+    own = [source.seeds.things(source.disc) for source in _own(across, along)]  # in their own light
     if not any(len(some.places) for some in things):
         return None
     rng = np.random.default_rng([seed, 6])
-    planes = [label for label in ground.labels if label.is_own]
-    cover = np.zeros(ground.number.shape, np.float32)
-    if any(some.are_close for some in things):
-        cover[ground.number >= 0] = _grain_cover(ground.labels, ground.chosen, places)
     both = zip([*across, *along], things, strict=True)
     around_them = np.concatenate([source.bare.tones.read(*some.places.T) for source, some in both])
     first_radial = sum(len(some.places) for some in things[: len(across)])
 
-    def holds_grains(tried: Candidates) -> NDArray[np.bool_]:
-        near = [_in_cells(tried.middles + step * tried.radii[:, None], LEVELS[-1]).T for step in GRAIN_STEPS]
-        around = [ndimage.map_coordinates(cover, at, order=1) for at in near]
-        there = ground.ball(tried.middles)
-        seen = [s.grains.cover_at(side * there.radius, tried.middles[:, 2]) for s in along for side in (1, -1)]
-        full = np.mean(around, axis=0) > GRAIN_COVER
-        return full & (np.max(seen, axis=0) > GRAIN_COVER) if seen else full
-
-    def holds_seeds(tried: Candidates) -> NDArray[np.bool_]:
+    def is_free(tried: Candidates) -> NDArray[np.bool_]:
         """A horizontal picture does not tell the heights of its seeds; the seeds of radial ones do."""
+        free = _is_clear(tried, planes, CLEAR)
         likely = np.ones(len(tried.stamps))
         known = np.concatenate([np.empty(0), *(source.seeds.places[:, 1] for source in along)])
         if len(known):
@@ -369,37 +360,53 @@ def _packed(
             off = np.abs(tried.middles[rows, 2:] - known).min(1)
             likely[rows] = np.maximum(np.exp(-np.square(off / HEIGHTS) / 2), ANYWHERE)
         unlike = np.linalg.norm(ground.read_evened(tried.middles) - around_them[tried.stamps], axis=1)
-        return (rng.uniform(size=len(likely)) < likely) & (unlike < UNLIKE)
+        return free & (rng.uniform(size=len(likely)) < likely) & (unlike < UNLIKE)
 
-    def is_free(tried: Candidates) -> NDArray[np.bool_]:
-        free = _is_clear(tried, planes)
-        for rows, holds in ((tried.are_close, holds_grains), (~tried.are_close, holds_seeds)):
-            free[rows] &= holds(tried.chosen(rows))
-        return free
-
-    heights = [float(label.chunks.height) for label in planes if isinstance(label.chunks, OwnHeight)]
-    placed = in_own_planes(own, heights, first=len(around_them))
-    fixed = [laid.chosen(_is_clear(laid, [p for p in planes if p.is_horizontal != h])) for laid, h in placed]
-    return pack([*things, *own], fixed, strewn(things, len(across), rng), is_free, rng)
+    placed = in_own_planes(own, _heights(planes), len(around_them))
+    tried = strewn(things, len(across), CANDIDATES, rng, in_rows=True)
+    return pack([*things, *own], _clear_of_others(placed, planes, CLEAR), tried, is_free, rng)
 
 
-def _is_clear(laid: Candidates, planes: list[Label]) -> NDArray[np.bool_]:
-    """(M,). Which things do not reach the planes."""
+def _tessellated(
+    ground: Quilt, planes: list[Label], across: list[Source], along: list[Source], seed: int
+) -> Tessellation | None:
+    """The pictures' grains as solids in the quilt: in own planes those that they show there, in their own light;
+    elsewhere, as many as fit into the chambers."""
+    if not any(source.has_grains for source in [*across, *along]):
+        return None
+    rng = np.random.default_rng([seed, 7])
+    things = [source.grains.usual_things(source.even) for source in [*across, *along]]
+    own = [source.grains.things(source.disc) for source in _own(across, along)]
+    placed = in_own_planes(own, _heights(planes), sum(len(some.places) for some in things))
+    placed = [some._replace(laid=off_plane(some, rng)) for some in placed]
+    chambers = Chambers.of(across, along, (_heights(planes) or [0.0])[0], ground.ball, rng)
+    tried = strewn(things, len(across), TIMES, rng, in_rows=False)
+    tried = tried.chosen(_is_clear(tried, planes, 1.0))
+    return Tessellation.of([*things, *own], [some.laid for some in placed], tried, chambers, rng)
+
+
+def _own(across: list[Source], along: list[Source]) -> list[Source]:
+    """The pictures that have planes of their own."""
+    return [*across[:1], *along[:OWN_AZIMUTHS]]
+
+
+def _heights(planes: list[Label]) -> list[float]:
+    """The height of the plane across the axis, if there is one."""
+    return [float(label.chunks.height) for label in planes if isinstance(label.chunks, OwnHeight)]
+
+
+def _clear_of_others(placed: list[Placed], planes: list[Label], reach: float) -> list[Candidates]:
+    """The things in own planes that do not reach those of the other family, at `reach` half axes."""
+    others = [[plane for plane in planes if plane.is_horizontal != some.is_horizontal] for some in placed]
+    return [some.laid.chosen(_is_clear(some.laid, o, reach)) for some, o in zip(placed, others, strict=True)]
+
+
+def _is_clear(laid: Candidates, planes: list[Label], reach: float) -> NDArray[np.bool_]:
+    """(M,). Which things do not reach the planes, at `reach` half axes."""
     there, clear = Ball.of(laid.middles), np.ones(len(laid.stamps), bool)
     for plane in planes:
-        clear &= plane.chunks.distance(there) > REACHES * laid.axes[:, 0]
+        clear &= plane.chunks.distance(there) > reach * laid.axes[:, 0]
     return clear
-
-
-def _grain_cover(labels: list[Label], chosen: NDArray[np.int32], read: list[Places]) -> NDArray[np.float32]:
-    """(M,). How much of what the chosen labels (M,) show is covered by grains and by no membrane."""
-    cover = np.zeros(len(chosen), np.float32)
-    for n, (label, places) in enumerate(zip(labels, read, strict=True)):
-        for m, source in enumerate(label.sources):
-            rows = np.flatnonzero((chosen == n) & (places.picture == m))
-            x, y = places.x[rows], places.y[rows]
-            cover[rows] = source.grains.cover_at(x, y) * (1 - read_map(source.membranes, x, y))
-    return cover
 
 
 def _in_cells(points: NDArray[np.float32], size: int) -> NDArray[np.float32]:

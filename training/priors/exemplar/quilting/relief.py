@@ -133,12 +133,19 @@ class Relief:
         apart = lengths(self.levels[0, ..., :3] - self.levels[-1, ..., :3]) * inside
         return apart / max(THING_CONTRAST, TYPICAL * float(np.median(apart[inside])))
 
-    def closing(self, disc: Disc, strength: Disc, region: NDArray[np.bool_], hidden: NDArray[np.bool_]) -> Relief:
-        """The relief of this face (`disc`), changed so that the pixels in a region (P, P) close next to the plane, all
-        at once, to the surroundings of all that is hidden (P, P)."""
+    def closing(
+        self,
+        disc: Disc,
+        strength: Disc,
+        region: NDArray[np.bool_],
+        hidden: NDArray[np.bool_],
+        end: np.float32 = CLOSE,
+    ) -> Relief:
+        """The relief of this face (`disc`), changed so that the pixels in a region (P, P) close at a distance `end` in
+        radii from the plane, all at once, to the surroundings of all that is hidden (P, P)."""
         last = np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)
         last = enlarged(Medians(filled_in(last, hidden)).over(WIDTHS[-1]))
-        at = np.where(region[..., None], np.minimum(self.heights, CLOSE), self.heights)
+        at = np.where(region[..., None], np.minimum(self.heights, end), self.heights)
         return replace(self, levels=np.concatenate([self.levels[:-1], last[None]]).astype(np.float32), heights=at)
 
     def read(

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.things.stamps import Things
 
-__all__ = ["CANDIDATES", "SECTION", "Candidates", "in_own_planes", "strewn"]
+__all__ = ["CANDIDATES", "SECTION", "Candidates", "Placed", "in_own_planes", "strewn"]
 
 SECTION = 4 / np.pi
 """Radius of a ball over the mean radius of its cuts by random planes, which is what a picture shows."""
 
 CANDIDATES = 6
-"""How many times as many things are tried as are wanted: most grains meet one that lies there already, and so do many
-seeds where they are strewn in a ring."""
+"""How many times as many seeds are tried as are wanted: where they are strewn in a ring, many meet one that lies there
+already."""
 
 INSIDE = 0.95
 """Largest distance of a thing's middle from that of the body."""
@@ -45,8 +45,6 @@ class Candidates(NamedTuple):
     """(M, 3). Direction of the shorter axis that lies in the picture's plane."""
     stamps: NDArray[np.int64]
     """(M,). Number of the thing that each shows."""
-    are_close: NDArray[np.bool_]
-    """(M,). Whether they are grains."""
 
     def chosen(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Candidates:
         """The candidates of some rows."""
@@ -63,11 +61,14 @@ class Candidates(NamedTuple):
         return np.sqrt(self.axes.prod(1))
 
 
-def strewn(pictures: Sequence[Things], horizontal: int, rng: np.random.Generator) -> Candidates:
-    """Things strewn wherever their pictures may be shown, CANDIDATES times as many as are wanted.
+def strewn(
+    pictures: Sequence[Things], horizontal: int, times: float, rng: np.random.Generator, *, in_rows: bool
+) -> Candidates:
+    """Things strewn wherever their pictures may be shown, so many times as many as the pictures say.
 
-    `horizontal`: how many of the pictures, the first ones, are horizontal. Where a picture shows N_A things in an area,
-    there are N_A / 2b in a volume, for things of half width b across the picture's plane (Saltykov).
+    `horizontal`: how many of the pictures, the first ones, are horizontal. `in_rows`: in the directions from the axis
+    in which these have them, and not all around. Where a picture shows N_A things in an area, there are N_A / 2b in a
+    volume, for things of half width b across the picture's plane (Saltykov).
     """
     found, first = [], 0
     for n, things in enumerate(pictures):
@@ -75,7 +76,7 @@ def strewn(pictures: Sequence[Things], horizontal: int, rng: np.random.Generator
         wide = 2 * SECTION * things.axes[:, 1].astype(np.float64)
         # A horizontal picture stands for all heights, each half of a radial one for half a turn.
         copies = np.where(is_horizontal, 2.0, np.pi * np.hypot(*things.places.T)) / wide
-        count = CANDIDATES / len(pictures) * copies
+        count = times / len(pictures) * copies
         which = np.repeat(np.arange(len(count)), np.floor(count + rng.uniform(size=len(count))).astype(int))
         place, axes = things.places[which], SECTION * things.axes[which]
         moved = rng.standard_normal((len(which), 2)) * 0.5 * axes[:, 1:]
@@ -86,7 +87,7 @@ def strewn(pictures: Sequence[Things], horizontal: int, rng: np.random.Generator
             height = place[:, 1] + moved[:, 1]
             out = np.abs(place[:, 0]) + moved[:, 0]
         turn = rng.uniform(0, 2 * np.pi, len(which))
-        if is_horizontal and not things.are_close:  # other individuals than the first are turned as a whole
+        if is_horizontal and in_rows:  # other individuals than the first are turned as a whole
             turn = np.arctan2(place[:, 1], place[:, 0]) + ROWS * rng.standard_normal(len(which)) + min(n, 1) * turn[:1]
         middles = np.stack([np.abs(out) * np.cos(turn), np.abs(out) * np.sin(turn), height], -1)
         found.append(_placed(things, which, middles, axes, is_horizontal, first))
@@ -95,8 +96,21 @@ def strewn(pictures: Sequence[Things], horizontal: int, rng: np.random.Generator
     return together.chosen(np.linalg.norm(together.middles, axis=1) < INSIDE)  # not NaN, either
 
 
-def in_own_planes(own: Sequence[Things], heights: Sequence[float], first: int) -> list[tuple[Candidates, bool]]:
-    """The things of each picture where its own plane shows them, and whether it is a horizontal one.
+class Placed(NamedTuple):
+    """The things of a picture where its own plane shows them."""
+
+    laid: Candidates
+    normal: NDArray[np.float64]
+    """(3,). The plane's normal."""
+
+    @property
+    def is_horizontal(self) -> bool:
+        """Whether the plane lies across the axis."""
+        return bool(self.normal[2])
+
+
+def in_own_planes(own: Sequence[Things], heights: Sequence[float], first: int) -> list[Placed]:
+    """The things of each picture where its own plane shows them.
 
     `own`: the things of the pictures at these heights (none or one), then of those in planes evenly spread over half a
     turn. Their stamps are numbered from `first`.
@@ -106,12 +120,16 @@ def in_own_planes(own: Sequence[Things], heights: Sequence[float], first: int) -
         which = np.arange(len(things.places))
         if n < len(heights):
             height = np.full(len(which), heights[n])
-            out = _out_at(np.hypot(*things.places.T), height)
+            share = np.hypot(*things.places.T)
+            out = _out_at(share, height)
+            out = np.where(np.isnan(out), share, out)  # next to the axis
             middles = np.column_stack([_directions(things.places) * out[:, None], height])
+            normal = np.array([0.0, 0.0, 1.0])
         else:
             turn, (x, y) = (n - len(heights)) * np.pi / (len(own) - len(heights)), things.places.T
             middles = np.stack([x * np.cos(turn), x * np.sin(turn), y], -1)
-        found.append((_placed(things, which, middles, things.axes, n < len(heights), first), n < len(heights)))
+            normal = np.array([-np.sin(turn), np.cos(turn), 0.0])
+        found.append(Placed(_placed(things, which, middles, things.axes, n < len(heights), first), normal))
         first += len(which)
     return found
 
@@ -135,7 +153,7 @@ def _placed(
         right, up = np.where(x < 0, -1, 1)[:, None] * outwards, np.array([[0.0, 0.0, 1.0]])
     c, s = (f(things.turns[which])[:, None] for f in (np.cos, np.sin))
     frames = (np.asarray(a, np.float32) for a in (middles, axes, c * right + s * up, c * up - s * right))
-    return Candidates._make((*frames, which + first, np.full(len(which), things.are_close)))
+    return Candidates._make((*frames, which + first))
 
 
 def _out_at(shares: NDArray[np.floating], heights: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -2,19 +2,23 @@
 
 A thing on calm ground closes over it with the distance from the picture's plane (`relief`). Where things lie among
 things there is nothing to close over, and what is carried beside the plane ends wherever a seam passes, in rods and
-shards. Such faces follow a germ-grain model (Stoyan, Kendall and Mecke 1995): overlapping discs, which are cuts of
-balls that `packing` lays anew.
+shards. Such faces have chambers, known by the colours of their grains, in which these touch one another: every pixel of
+a chamber belongs to one. `tessellation` lays them anew.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.cluster.vq import kmeans2
+from skimage.measure import euler_number, regionprops
+from skimage.segmentation import relabel_sequential, watershed
 
-from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc
 from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.sampling import blurred, reduced
 
@@ -63,20 +67,53 @@ STRANGE = 2.5
 core."""
 
 SIZES = (0.6, 1.5)
-"""Least and largest size, over the typical one, of grains that are kept: a smaller one is a highlight in a grain, a
-larger one several grains."""
+"""Least and largest size, over the typical one, of grains whose colours are the face's: a smaller one is a highlight in
+a grain, a larger one several grains."""
+
+BINS = 16
+"""Bins of each channel in which the colours of grains and of what is not near any are counted, blurred by one bin."""
+
+FAR, APART_FROM = 0.15, 0.06
+"""Most of the neighbourhood, with this standard deviation in radii, that grains may cover for a place to be ground."""
+
+INSIDE = 0.97
+"""Radius in which chambers lie: outside, a photograph shows its background."""
+
+BLURRED = 0.4
+"""Standard deviation, over the radius of a grain, of the blur of how much each pixel looks like grains: a chamber goes
+on across the gaps between them."""
+
+FEWEST, HOLE, LINKED = 6.0, 1.5, 0.5
+"""Least size of chambers, and largest size of a hole in one, in grains: a dark crown is no chamber, and a pale seed in
+an aril no membrane. Grains this far apart, in their radii, lie together for the first of these."""
+
+SMOOTH = 0.35
+"""Standard deviation, over the radius of a grain, of the blur under which grains are told apart: highlights are
+gone."""
+
+USUAL = 0.6
+"""Least mean of how much a cell's pixels look like grains for it to be laid elsewhere: of 501 cells in five photographs
+479 do."""
+
+DEEP = 0.7
+"""Least depth of a cell's middle over that of its deepest pixel: a bent cell's centroid may lie outside of it."""
 
 
 @dataclass(frozen=True)
 class Grains:
     """The grains of one picture, none if it is not made of them."""
 
+    cells: NDArray[np.int32]
+    """(P, P). Number of the grain at each pixel of the disc, from 1; 0 for none. What lies between two of them is the
+    rim of both."""
     places: NDArray[np.float32]
     """(B, 2). Places of their middles on the disc."""
     radii: NDArray[np.float32]
-    """(B,). Their radii, in radii of the disc."""
-    cover: NDArray[np.float32]
-    """(H, W). Part of the surroundings that they cover, over the disc's array. Range [0, 1]."""
+    """(B,). Radii of discs as large, in radii of the disc."""
+    turns: NDArray[np.float32]
+    """(B,). Angle from the disc's x axis to the longer axis, radians."""
+    are_usual: NDArray[np.bool_]
+    """(B,). Whether they look like most."""
 
     @classmethod
     def of(cls, things: Disc, heights: NDArray[np.float32]) -> Grains:
@@ -87,49 +124,142 @@ class Grains:
         axis = ((np.arange(size) + 0.5) / size * 2 - 1) * REACH
         face = np.hypot(axis[:, None], axis) < FACE
         grey = _main_contrast(rgb, face, AROUND * pixels)
-        spread = np.sqrt(blurred(grey * grey, AROUND * pixels)) + 0.01
-        sigmas = RADII * pixels / np.sqrt(2)  # at which the Laplacian of a disc is strongest
-        laplacian = np.stack([ndimage.gaussian_laplace(grey, s) * s * s for s in sigmas])
-        strength = np.abs(laplacian) / spread
-        peaks = (strength == ndimage.maximum_filter(strength, size=3)) & (strength > STRENGTH)
-        peaks &= np.abs(laplacian) > CONTRAST
-        order = np.argsort(-strength[peaks], kind="stable")
-        level, i, j = (a[order] for a in np.nonzero(peaks))
-        radii = RADII[level] * EXTENT
-        lasting = reduced(heights, FINE).min(-1)[i, j] > ENDS * radii
-        level, i, j, radii = (a[lasting] for a in (level, i, j, radii))
-        places = np.stack([axis[i], axis[j]], -1)
-        apart = _thinned(places, radii)
-        level, i, j, radii, places = (a[apart] for a in (level, i, j, radii, places))
-        close = blurred(_covered(axis, places, radii), 0.08 * pixels)
-        none = cls(np.empty((0, 2), np.float32), np.empty(0, np.float32), np.zeros_like(close))
-        if (close > CLOSE)[face].mean() < PACKED:
-            return none
-        share = radii / _typical(radii)
-        sized = (share > SIZES[0]) & (share < SIZES[1]) & face[i, j] & (close[i, j] > CLOSE)
-        # The Laplacian is positive where the middle is darker. Gaps are found as well, but are fainter or smaller.
-        darker = laplacian[level, i, j] > 0
-        weight = strength[level, i, j] * radii**2 * sized
-        major = 1 if weight[darker].sum() > weight[~darker].sum() else -1
-        inside = [_within(axis, place, radius) for place, radius in zip(places, radii, strict=True)]
-        pure = np.array([(grey[box][at] * -major > 0).mean() for box, at in inside])
-        colours = np.array([rgb[box][at].mean(0) for box, at in inside])
-        ours = sized & (darker == (major > 0)) & (pure > PURE)
-        if not ours.any():
-            return none
-        strange = np.linalg.norm(colours - np.median(colours[ours], axis=0), axis=1)
-        ours &= strange <= STRANGE * np.median(strange[ours])
-        cover = blurred(_covered(axis, places[ours], radii[ours]), 0.03 * pixels)
-        return cls(places[ours].astype(np.float32), radii[ours].astype(np.float32), cover)
+        best: NDArray[np.bool_] = np.zeros_like(face)
+        for places, radii in _blobs(rgb, grey, reduced(heights, FINE), axis, face):
+            likeness = _likeness(rgb, axis, places, radii)
+            chambers = _chambers(likeness, axis, _typical(radii))
+            if chambers.sum() > best.sum():  # the other is what lies between grains
+                best, alike, typical = chambers, likeness, _typical(radii)
+        if not best.any():
+            return cls.none()
+        cells = _cells(grey, best, typical * pixels)
+        regions = regionprops(cells)
+        if not regions:
+            return cls.none()
+        places = np.array([(_middle(region) + 0.5) / pixels - REACH for region in regions], np.float32)
+        radii = np.sqrt([region.area / np.pi for region in regions]) / pixels
+        turns = np.array([region.orientation for region in regions], np.float32)
+        are_usual = ndimage.mean(alike, cells, np.arange(len(regions)) + 1) > USUAL
+        fine = cells.repeat(FINE, 0).repeat(FINE, 1)
+        return cls(fine.astype(np.int32), places, radii.astype(np.float32), turns, are_usual)
+
+    @classmethod
+    def none(cls) -> Grains:
+        """The grains of a face without any."""
+        nothing = np.zeros((DISC_PIXELS, DISC_PIXELS), np.int32)
+        empty = np.empty(0, np.float32)
+        return cls(nothing, np.empty((0, 2), np.float32), empty, empty, np.empty(0, np.bool_))
+
+    @cached_property
+    def regions(self) -> NDArray[np.bool_]:
+        """(P, P). The chambers in which they lie."""
+        return self.cells > 0
 
     def things(self, disc: Disc) -> Things:
         """The grains as the disc, which is this face in some light, shows them."""
-        return Things.of(disc, self.places, np.repeat(self.radii[:, None], 2, 1), np.zeros(len(self.radii)))
+        return Things.of_cells(disc, self.places, self.radii, self.turns, self.cells)
 
-    def cover_at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(M,). The part that grains cover around places (M,), (M,) of the disc."""
-        at = np.stack(to_pixels(x, y, len(self.cover)))
-        return ndimage.map_coordinates(self.cover, at, order=1, mode="nearest", output=np.float32)
+    def usual_things(self, disc: Disc) -> Things:
+        """Those of them that look like most."""
+        return self.things(disc).chosen(self.are_usual)
+
+
+def _blobs(
+    rgb: NDArray[np.floating],
+    grey: NDArray[np.floating],
+    heights: NDArray[np.floating],
+    axis: NDArray[np.floating],
+    face: NDArray[np.bool_],
+) -> list[tuple[NDArray[np.floating], NDArray[np.floating]]]:
+    """Places (B, 2) and radii (B,) of what may be grains of a face (H, W, 3), by their contrast `grey` (H, W): of the
+    darker and of the brighter things in it; nothing if it is not made of grains. They follow a germ-grain model
+    (Stoyan, Kendall and Mecke 1995): overlapping discs."""
+    pixels = len(axis) / (2 * REACH)
+    spread = np.sqrt(blurred(grey * grey, AROUND * pixels)) + 0.01
+    sigmas = RADII * pixels / np.sqrt(2)  # at which the Laplacian of a disc is strongest
+    laplacian = np.stack([ndimage.gaussian_laplace(grey, s) * s * s for s in sigmas])
+    strength = np.abs(laplacian) / spread
+    peaks = (strength == ndimage.maximum_filter(strength, size=3)) & (strength > STRENGTH)
+    peaks &= np.abs(laplacian) > CONTRAST
+    order = np.argsort(-strength[peaks], kind="stable")
+    level, i, j = (a[order] for a in np.nonzero(peaks))
+    radii = RADII[level] * EXTENT
+    lasting = heights.min(-1)[i, j] > ENDS * radii
+    level, i, j, radii = (a[lasting] for a in (level, i, j, radii))
+    places = np.stack([axis[i], axis[j]], -1)
+    apart = _thinned(places, radii)
+    level, i, j, radii, places = (a[apart] for a in (level, i, j, radii, places))
+    close = blurred(_covered(axis, places, TOUCHING * radii), 0.08 * pixels)
+    if (close > CLOSE)[face].mean() < PACKED:
+        return []
+    share = radii / _typical(radii)
+    sized = (share > SIZES[0]) & (share < SIZES[1]) & face[i, j] & (close[i, j] > CLOSE)
+    # The Laplacian is positive where the middle is darker.
+    darker = laplacian[level, i, j] > 0
+    found = []
+    for are_darker in (True, False):
+        inside = [_within(axis, place, radius) for place, radius in zip(places, radii, strict=True)]
+        pure = np.array([((grey[box][at] < 0) == are_darker).mean() for box, at in inside])
+        colours = np.array([rgb[box][at].mean(0) for box, at in inside])
+        ours = sized & (darker == are_darker) & (pure > PURE)
+        if ours.any():
+            strange = np.linalg.norm(colours - np.median(colours[ours], axis=0), axis=1)
+            found.append(ours & (strange <= STRANGE * np.median(strange[ours])))
+    return [(places[ours], radii[ours]) for ours in found]
+
+
+def _likeness(
+    rgb: NDArray[np.floating], axis: NDArray[np.floating], places: NDArray[np.floating], radii: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """(H, W). How much more likely each colour is among these grains than where none is near. Range [0, 1]."""
+    pixels = len(axis) / (2 * REACH)
+    grain = _covered(axis, places, radii) > 0
+    near = blurred(_covered(axis, places, TOUCHING * radii), APART_FROM * pixels)
+    ground = (near < FAR) & (np.hypot(axis[:, None], axis) < INSIDE)
+    at = (np.moveaxis(rgb, -1, 0) * BINS - 0.5).reshape(3, -1)
+    likely = []
+    for where in (grain, ground):
+        counts, _ = np.histogramdd(np.clip(rgb[where], 0, 1), bins=BINS, range=[(0, 1)] * 3)
+        smooth = ndimage.gaussian_filter(counts / max(counts.sum(), 1), 1.0)
+        likely.append(ndimage.map_coordinates(smooth, at, order=1, mode="nearest").reshape(grain.shape))
+    return np.asarray(likely[0] / (likely[0] + likely[1] + 1e-6), np.float32)
+
+
+def _chambers(alike: NDArray[np.float32], axis: NDArray[np.floating], typical: float) -> NDArray[np.bool_]:
+    """(H, W). Where a face looks `alike` (H, W) to its grains, of this typical radius."""
+    pixels = len(axis) / (2 * REACH)
+    held = (blurred(alike, BLURRED * typical * pixels) > 0.5) & (np.hypot(axis[:, None], axis) < INSIDE)
+    area = np.pi * (typical * pixels) ** 2
+    near = ndimage.distance_transform_edt(~held) < LINKED * typical * pixels
+    parts, _ = ndimage.label(near)
+    held &= (np.bincount(parts[held], minlength=parts.max() + 1) >= FEWEST * area)[parts]
+    holes, _ = ndimage.label(~held)
+    return held | (np.bincount(holes.ravel()) <= HOLE * area)[holes]
+
+
+def _cells(grey: NDArray[np.floating], chambers: NDArray[np.bool_], radius: float) -> NDArray[np.int32]:
+    """(H, W). Chambers cut into grains with a typical radius in pixels, along the valleys of the contrast (H, W): the
+    number of each, from 1. Cells as large as several are cut into as many."""
+    bright = grey > np.median(grey[chambers]) if chambers.any() else chambers
+    islands = [euler_number(chambers & phase, connectivity=2) for phase in (bright, ~bright)]
+    # Grains are islands in a network of gaps, whichever of them are brighter.
+    peaked = ndimage.gaussian_filter(grey if islands[0] > islands[1] else -grey, SMOOTH * radius)
+    peaks = (peaked == ndimage.maximum_filter(peaked, size=int(radius) | 1)) & chambers
+    cells = watershed(-peaked, ndimage.label(peaks)[0], mask=chambers)
+    sizes = np.bincount(cells.ravel())[1:]
+    parts = np.round(sizes / np.median(sizes)).astype(int)
+    for n in np.flatnonzero(parts > 1):
+        at = np.argwhere(cells == n + 1)
+        _, which = kmeans2(at.astype(float), parts[n], minit="++", seed=0)
+        cells[tuple(at[which > 0].T)] = cells.max() + which[which > 0]
+    return np.asarray(relabel_sequential(cells)[0], np.int32)
+
+
+def _middle(cell) -> NDArray[np.float64]:  # type: ignore[no-untyped-def]
+    """(2,). The pixel nearest to the centroid of a cell among those deep in it."""
+    deep = ndimage.distance_transform_edt(np.pad(cell.image, 1))[1:-1, 1:-1]
+    at = np.argwhere(deep >= DEEP * deep.max()) + cell.bbox[:2]
+    return np.asarray(at[np.square(at - cell.centroid).sum(1).argmin()], np.float64)
 
 
 def _main_contrast(rgb: NDArray[np.floating], face: NDArray[np.bool_], around: float) -> NDArray[np.floating]:
@@ -152,10 +282,10 @@ def _thinned(places: NDArray[np.floating], radii: NDArray[np.floating]) -> NDArr
 def _covered(
     axis: NDArray[np.floating], places: NDArray[np.floating], radii: NDArray[np.floating]
 ) -> NDArray[np.float32]:
-    """(H, W). 1 on the discs and close around them."""
+    """(H, W). 1 on the discs."""
     covered = np.zeros((len(axis), len(axis)), np.float32)
     for place, radius in zip(places, radii, strict=True):
-        box, at = _within(axis, place, TOUCHING * radius)
+        box, at = _within(axis, place, radius)
         covered[box][at] = 1
     return covered
 

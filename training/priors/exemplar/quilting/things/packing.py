@@ -1,9 +1,8 @@
-"""Ellipsoids in the ball: the things of photographs laid as solids.
+"""Ellipsoids in the ball: the seeds of photographs laid as solids.
 
-Every ellipsoid shows a thing of a picture, turned about its longer axis: a point shows the colour that the thing has at
-the same distance from its middle, in the direction in which the point lies. So any cut through it shows a whole thing,
-with its outline all around. Grains are laid until there is no room, seeds as many as pictures show. Where two meet, the
-border is where their powers are equal (a Laguerre tessellation, as in packings of grains).
+Every ellipsoid shows a seed of a picture: a point shows the colour that the seed has at the same distance from its
+middle, in the direction in which the point lies. So any cut through it shows a whole seed, with its outline all around.
+As many are laid as pictures show.
 """
 
 from __future__ import annotations
@@ -19,125 +18,61 @@ from engine.threads import for_spans
 from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.things.candidates import CANDIDATES, Candidates
 from training.priors.exemplar.quilting.things.core import AXIS
-from training.priors.exemplar.quilting.things.stamps import EXTENT, STAMP_PIXELS, Things
+from training.priors.exemplar.quilting.things.laying import LATTICE, Lattice, lattice_side, lay
+from training.priors.exemplar.quilting.things.stamps import EXTENT, Things, stamped, within
 
-__all__ = ["NEAR", "REACHES", "Packing", "pack"]
+__all__ = ["CLEAR", "Packing", "pack"]
 
-NEAR = (1.0, 0.5)
-"""Least distance of a seed, and of a grain, from what is already laid, over the sum of their radii. Balls that may not
-overlap at all fill 0.38 of space when they are laid at random; arils press one another flat."""
+NEAR = np.float32(1.0)
+"""Least distance of a seed from what is already laid, over the sum of their radii."""
 
-REACHES = 1.15
-"""How far a grain reaches where there is no other, over its radius: what is left between grains shows chunks."""
-
-MIXED_SIZES = 0.7
-"""Grains are laid from large to small, by their radius times a random number from this to 1: small ones fill gaps."""
-
-LATTICE = 1.3
-"""Half a side of the lattice in which things are looked up, in radii: the body and a thing's reach."""
+CLEAR = 1.15
+"""Least distance of a seed's middle from a plane in which a picture does not show it, in its longer half axes."""
 
 
 @dataclass(frozen=True)
 class Packing:
-    """Ellipsoids that show things of pictures."""
+    """Ellipsoids that show seeds of pictures."""
 
+    seeds: Sequence[Things]
+    """The seeds of each picture."""
     laid: Candidates
+    lattice: Lattice
     stamps: NDArray[np.float32]
-    """(T, S, S, 4). Stamps of all things."""
-    cell: float
-    starts: NDArray[np.int64]
-    """(C + 1,). Where the things of each cell of a lattice start in `members`."""
-    members: NDArray[np.int64]
-    """(M,). Rows of the things that are laid, cell after cell."""
+    """(T, S, S, 4). Stamps of all seeds."""
 
     def read(self, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(M, 3) and (M,). Colours of things at points (M, 3), multiplied by how much of the point they cover, and that
+        """(M, 3) and (M,). Colours of seeds at points (M, 3), multiplied by how much of the point they cover, and that
         cover. Range [0, 1]."""
         out = np.empty((len(points), 4), np.float32)
-        laid = self.laid
-        frames = laid.middles, laid.axes, laid.long, laid.short
-        lattice = self.starts, self.members, self.cell
-        for_spans(_read, len(points), points, *frames, laid.stamps, laid.are_close, *lattice, self.stamps, out)
+        for_spans(_read, len(points), points, *self.laid, *self.lattice, self.stamps, out)
         return out[:, :3], out[:, 3]
 
-    def reduced(self, things: Sequence[Things]) -> Packing:
-        """The same packing of the same things, which are given in less detail."""
-        return replace(self, stamps=np.concatenate([t.stamps for t in things]))
+    def reduced(self, n: int) -> Packing:
+        """The same packing without the detail that pixels of the pictures n times as large do not show."""
+        seeds = [some.reduced(n) for some in self.seeds]
+        return replace(self, seeds=seeds, stamps=np.concatenate([some.stamps for some in seeds]))
 
 
 def pack(
-    things: Sequence[Things],
+    seeds: Sequence[Things],
     fixed: Sequence[Candidates],
     tried: Candidates,
     is_free: Callable[[Candidates], NDArray[np.bool_]],
     rng: np.random.Generator,
 ) -> Packing | None:
-    """Things as ellipsoids: those that are `fixed`, and of those that are `tried` and free, as far as they do not meet,
-    all grains and as many seeds as are wanted; None if there is nothing."""
-    order = np.where(tried.are_close, -tried.radii, 1) * rng.uniform(MIXED_SIZES, 1, len(tried.radii))
-    tried = tried.chosen(np.argsort(order, kind="stable"))
+    """Seeds as ellipsoids: those that are `fixed`, and of those that are `tried` and free, as many as are wanted, as
+    far as they do not meet; None if there is nothing."""
+    tried = tried.chosen(np.argsort(rng.uniform(size=len(tried.stamps)), kind="stable"))
     tried = tried.chosen(is_free(tried))
     count = sum(len(some.stamps) for some in fixed)
-    seeds = round((~tried.are_close).sum() / CANDIDATES)
+    wanted = round(len(tried.stamps) / CANDIDATES)
     tried = Candidates.together([*fixed, tried])
     if not len(tried.stamps):
         return None
-    cell = float(2 * REACHES * tried.axes.max())
-    laid = tried.chosen(_laid(tried.middles, tried.radii, tried.are_close, count, seeds, cell))
-    side = _lattice(cell)
-    at = np.clip(((laid.middles + LATTICE) / np.float32(cell)).astype(np.int64), 0, side - 1)
-    number = (at[:, 0] * side + at[:, 1]) * side + at[:, 2]
-    members = np.argsort(number, kind="stable")
-    starts = np.searchsorted(number[members], np.arange(side**3 + 1))
-    return Packing(laid, np.concatenate([t.stamps for t in things]), cell, starts, members)
-
-
-@njit(cache=True)
-def _lattice(cell: float) -> int:
-    """Cells along a side of the lattice in which things are looked up."""
-    return int(2 * LATTICE / cell) + 1
-
-
-@njit(cache=True)
-def _laid(
-    middles: NDArray[np.float32],  # [M, 3]
-    radii: NDArray[np.float32],  # [M]
-    are_close: NDArray[np.bool_],  # [M]
-    fixed: int,
-    seeds: int,
-    cell: float,
-) -> NDArray[np.bool_]:
-    """(M,). Which of the things are laid: the first `fixed` ones, and every other that is far enough from all before
-    it, up to a number of `seeds`."""
-    side = _lattice(cell)
-    first = np.full(side * side * side, -1, np.int64)
-    following = np.full(len(radii), -1, np.int64)
-    laid = np.zeros(len(radii), np.bool_)
-    for b in range(len(radii)):
-        x = int((middles[b, 0] + np.float32(LATTICE)) / cell)
-        y = int((middles[b, 1] + np.float32(LATTICE)) / cell)
-        z = int((middles[b, 2] + np.float32(LATTICE)) / cell)
-        free = are_close[b] or seeds > 0
-        near = np.float32(NEAR[1] if are_close[b] else NEAR[0])
-        for i in range(max(x - 1, 0), min(x + 2, side)):
-            for j in range(max(y - 1, 0), min(y + 2, side)):
-                for k in range(max(z - 1, 0), min(z + 2, side)):
-                    other = first[(i * side + j) * side + k]
-                    while other >= 0:
-                        away = np.float32(0)
-                        for c in range(3):
-                            d = middles[other, c] - middles[b, c]
-                            away += d * d
-                        least = near * (radii[other] + radii[b])
-                        free = free and away >= least * least
-                        other = following[other]
-        if free or b < fixed:
-            laid[b] = True
-            seeds -= b >= fixed and not are_close[b]
-            here = (x * side + y) * side + z
-            following[b] = first[here]
-            first[here] = b
-    return laid
+    cell = float(2 * EXTENT * tried.axes.max())
+    laid = tried.chosen(lay(tried.middles, tried.radii, NEAR, cell, count, wanted))
+    return Packing(seeds, laid, Lattice.of(laid.middles, cell), np.concatenate([some.stamps for some in seeds]))
 
 
 @njit(cache=True, nogil=True)
@@ -150,16 +85,15 @@ def _read(
     long: NDArray[np.float32],  # [B, 3]
     short: NDArray[np.float32],  # [B, 3]
     which: NDArray[np.int64],  # [B]
-    are_close: NDArray[np.bool_],  # [B]
+    cell: float,
     starts: NDArray[np.int64],  # [C + 1]
     members: NDArray[np.int64],  # [B]
-    cell: float,
     stamps: NDArray[np.float32],  # [T, S, S, 4]
     out: NDArray[np.float32],  # [M, 4]
 ) -> None:
     """Shows the two things with the most power at each point: the square of the half width times 1 - q^2, at q half
     axes."""
-    side, one = _lattice(cell), np.float32(1)
+    side, one = lattice_side(cell), np.float32(1)
     for m in range(start, stop):
         x = int((points[m, 0] + np.float32(LATTICE)) / cell)
         y = int((points[m, 1] + np.float32(LATTICE)) / cell)
@@ -172,10 +106,9 @@ def _read(
                     here = (i * side + j) * side + k
                     for n in range(starts[here], starts[here + 1]):
                         thing = members[n]
-                        s, t, w = _within(points, m, middles, axes, long, short, thing)
+                        s, t, w = within(points, m, middles, axes, long, short, thing)
                         square = s * s + t * t + w * w
-                        reach = np.float32(REACHES) if are_close[thing] else np.float32(EXTENT)
-                        if square >= reach * reach:
+                        if square >= np.float32(EXTENT * EXTENT):
                             continue
                         power = axes[thing, 1] * axes[thing, 1] * (one - square)
                         if power > most:
@@ -196,58 +129,22 @@ def _read(
             # Half of the difference of powers over the distance of the middles is the distance from the border.
             beyond = (most - next_most) / (np.float32(2) * max(np.sqrt(apart), np.float32(1e-4)))
             share = np.float32(0.5) + np.float32(0.5) * min(beyond / BLEND, one)
-        _show(points, m, middles, axes, long, short, a, which, are_close[a], stamps, share, out)
+        _show(points, m, middles, axes, long, short, a, which, stamps, share, out)
         if b >= 0:
-            _show(points, m, middles, axes, long, short, b, which, are_close[b], stamps, one - out[m, 3], out)
-        if are_close[a]:
-            half = axes[a, 1]
-            away = np.sqrt(max(half * half - most, np.float32(0)))
-            fade = min(max((half * np.float32(REACHES) - away) / BLEND, np.float32(0)), one)
-            for c in range(4):
-                out[m, c] *= fade
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _within(points, m, middles, axes, long, short, thing):  # type: ignore[no-untyped-def]
-    """Where a point is in a thing, in half axes: along the longer one, and across it in the picture's plane and out of
-    it."""
-    s, t, square = np.float32(0), np.float32(0), np.float32(0)
-    for c in range(3):
-        d = points[m, c] - middles[thing, c]
-        s += d * long[thing, c]
-        t += d * short[thing, c]
-        square += d * d
-    w = np.sqrt(max(square - s * s - t * t, np.float32(0)))
-    return s / axes[thing, 0], t / axes[thing, 1], w / axes[thing, 1]
+            _show(points, m, middles, axes, long, short, b, which, stamps, one - out[m, 3], out)
 
 
 @njit(cache=True, nogil=True)
-def _show(points, m, middles, axes, long, short, thing, which, is_close, stamps, share, out):  # type: ignore[no-untyped-def]
+def _show(points, m, middles, axes, long, short, thing, which, stamps, share, out):  # type: ignore[no-untyped-def]
     """Adds a share of what a thing shows at a point, as far as it covers it."""
-    s, t, w = _within(points, m, middles, axes, long, short, thing)
+    s, t, w = within(points, m, middles, axes, long, short, thing)
     flat, one = s * s + t * t, np.float32(1)
     square, n = flat + w * w, which[thing]
     fade = flat + np.float32(AXIS * AXIS)
-    cover = one
-    if not is_close:
-        # Cuts parallel to the picture's plane have the thing's outline, made smaller.
-        smaller = np.sqrt(max(one - w * w, np.float32(0))) + np.float32(1e-3)
-        cover = _stamped(stamps, n, s / smaller, t / smaller, 3) if w < one else np.float32(0)
+    # Cuts parallel to the picture's plane have the thing's outline, made smaller.
+    smaller = np.sqrt(max(one - w * w, np.float32(0))) + np.float32(1e-3)
+    cover = stamped(stamps, n, s / smaller, t / smaller, 3) if w < one else np.float32(0)
     stretched = np.sqrt(square / fade)
     for c in range(3):
-        out[m, c] += share * cover * _stamped(stamps, n, s * stretched, t * stretched, c)
+        out[m, c] += share * cover * stamped(stamps, n, s * stretched, t * stretched, c)
     out[m, 3] += share * cover
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _stamped(stamps, n, s, t, c):  # type: ignore[no-untyped-def]
-    """A channel of a stamp at a place in half axes."""
-    scale = np.float32(STAMP_PIXELS / (2 * EXTENT))
-    top = np.float32(STAMP_PIXELS - 1)
-    u = min(max((s + np.float32(EXTENT)) * scale - np.float32(0.5), np.float32(0)), top)
-    v = min(max((t + np.float32(EXTENT)) * scale - np.float32(0.5), np.float32(0)), top)
-    i, j = min(int(u), STAMP_PIXELS - 2), min(int(v), STAMP_PIXELS - 2)
-    a, b = u - np.float32(i), v - np.float32(j)
-    low = stamps[n, i, j, c] + b * (stamps[n, i, j + 1, c] - stamps[n, i, j, c])
-    high = stamps[n, i + 1, j, c] + b * (stamps[n, i + 1, j + 1, c] - stamps[n, i + 1, j, c])
-    return low + a * (high - low)

@@ -1,0 +1,222 @@
+"""Grains that fill the chambers of a body, pressed against one another.
+
+They are the cells of a Laguerre tessellation (as in packings of grains), which end at the walls of their chamber. Every
+cell shows a grain of a picture, whose cells are bent to discs: on the ray from a grain's middle through a point, the
+point lies at some share of the way to the border, and shows what the disc has at that share of its radius. So every cut
+shows whole grains, with their rims all around. A grain is turned about its longer axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from engine.threads import for_spans
+from training.priors.exemplar.quilting.relief import BLEND
+from training.priors.exemplar.quilting.things.candidates import Candidates, Placed
+from training.priors.exemplar.quilting.things.chambers import HALF, Chambers
+from training.priors.exemplar.quilting.things.laying import LATTICE, Lattice, lattice_side, lay
+from training.priors.exemplar.quilting.things.stamps import Things, stamped, within
+
+__all__ = ["REACHES", "TIMES", "Tessellation", "off_plane"]
+
+NEAR = np.float32(0.75)
+"""Least distance of two grains over the sum of their radii. Balls that are laid at random until no more fit fill 0.38
+of space. N random cells in a volume are cut into 1.46 N^(2/3) in an area (Meijering 1953), so with balls SECTION times
+as large as the picture's grains this is the distance at which cuts have as many grains as the picture."""
+
+TIMES = 100
+"""How many times as many grains are tried as pictures say: enough that hardly another one fits."""
+
+REACHES = 1.3
+"""How far a grain reaches where there is no other, over its radius: arils that are not pressed are round."""
+
+MIDDLE = 0.3
+"""Least distance of a grain's middle from the wall of its chamber, over its radius."""
+
+BULGE = 0.3
+"""How far a grain bulges out of its chamber, over its radius: half a membrane, and what the blur of chambers takes."""
+
+MIXED_SIZES = 0.7
+"""Grains are laid from large to small, by their radius times a random number from this to 1: small ones fill gaps."""
+
+MOST_OFF = 0.7
+"""Largest distance of the middle of a picture's own grain from its plane, over the grain's radius: any is as likely."""
+
+SIDES = np.float32(1.0)
+"""Width of the blend of a grain's two halves around its longer axis, in cosines: seams would show as cracks."""
+
+THINNEST = np.float32(0.02)
+"""Least distance to the wall in radii by which that to a point is divided: a cell of the grid of walls."""
+
+
+@dataclass(frozen=True)
+class Tessellation:
+    """Grains that show those of pictures."""
+
+    grains: Sequence[Things]
+    """The grains of each picture."""
+    laid: Candidates
+    fixed: int
+    """How many of these, the first ones, lie in own planes: those do not end at walls, which other pictures may have
+    moved."""
+    lattice: Lattice
+    chambers: Chambers
+    stamps: NDArray[np.float32]
+    """(T, S, S, 4). Stamps of all grains."""
+
+    @classmethod
+    def of(
+        cls,
+        grains: Sequence[Things],
+        fixed: Sequence[Candidates],
+        tried: Candidates,
+        chambers: Chambers,
+        rng: np.random.Generator,
+    ) -> Tessellation:
+        """Grains that are `fixed`, and as many of those that are `tried` as there is room for in chambers."""
+        tried = tried.chosen(chambers.at(tried.middles) > MIDDLE * tried.radii)
+        order = -tried.radii * rng.uniform(MIXED_SIZES, 1, len(tried.radii))
+        tried = Candidates.together([*fixed, tried.chosen(np.argsort(order, kind="stable"))])
+        count = sum(len(some.stamps) for some in fixed)
+        cell = float(2 * REACHES * tried.radii.max(initial=0.01))
+        laid = tried.chosen(lay(tried.middles, tried.radii, NEAR, cell, count, len(tried.radii)))
+        stamps = np.concatenate([some.stamps for some in grains])
+        return cls(grains, laid, count, Lattice.of(laid.middles, cell), chambers, stamps)
+
+    def read(
+        self, points: NDArray[np.float32], shown: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M, 3) and (M,). Colours of grains at points (M, 3), multiplied by how much of the point they cover, and that
+        cover, which is at most how much of them is to be `shown` (M,). Range [0, 1]."""
+        out = np.empty((len(points), 4), np.float32)
+        room = self.chambers.room
+        for_spans(_read, len(out), points, shown, *self.laid, self.fixed, *self.lattice, room, self.stamps, out)
+        return out[:, :3], out[:, 3]
+
+    def reduced(self, n: int) -> Tessellation:
+        """The same grains without the detail that pixels of the pictures n times as large do not show."""
+        grains = [some.reduced(n) for some in self.grains]
+        return replace(self, grains=grains, stamps=np.concatenate([some.stamps for some in grains]))
+
+
+def off_plane(placed: Placed, rng: np.random.Generator) -> Candidates:
+    """A picture's own grains, with their middles anywhere before or behind its plane and larger by so much that their
+    cuts by it, and the borders between these, stay the same: on the plane, all their powers change by nothing."""
+    laid = placed.laid
+    part = rng.uniform(-MOST_OFF, MOST_OFF, len(laid.stamps))
+    larger = 1 / np.sqrt(1 - part * part)
+    middles = laid.middles + (part * larger * laid.radii)[:, None] * placed.normal
+    return laid._replace(middles=middles.astype(np.float32), axes=(laid.axes * larger[:, None]).astype(np.float32))
+
+
+@njit(cache=True, nogil=True)
+def _read(
+    start: int,
+    stop: int,
+    points: NDArray[np.float32],  # [M, 3]
+    shown: NDArray[np.float32],  # [M]
+    middles: NDArray[np.float32],  # [B, 3]
+    axes: NDArray[np.float32],  # [B, 2]
+    long: NDArray[np.float32],  # [B, 3]
+    short: NDArray[np.float32],  # [B, 3]
+    which: NDArray[np.int64],  # [B]
+    fixed: int,
+    cell: float,
+    starts: NDArray[np.int64],  # [C + 1]
+    members: NDArray[np.int64],  # [B]
+    room: NDArray[np.float32],  # [X, Y, Z]
+    stamps: NDArray[np.float32],  # [T, S, S, 4]
+    out: NDArray[np.float32],  # [M, 4]
+) -> None:
+    """Shows the grain with the most power at each point: the square of its radius less that of the distance."""
+    side, zero, one = lattice_side(cell), np.float32(0), np.float32(1)
+    for m in range(start, stop):
+        for c in range(4):
+            out[m, c] = zero
+        if shown[m] <= zero:
+            continue
+        x = int((points[m, 0] + np.float32(LATTICE)) / cell)
+        y = int((points[m, 1] + np.float32(LATTICE)) / cell)
+        z = int((points[m, 2] + np.float32(LATTICE)) / cell)
+        box = max(x - 1, 0), min(x + 2, side), max(y - 1, 0), min(y + 2, side), max(z - 1, 0), min(z + 2, side)
+        grain, most = -1, np.float32(-9)
+        for i in range(box[0], box[1]):
+            for j in range(box[2], box[3]):
+                for n in range(starts[(i * side + j) * side + box[4]], starts[(i * side + j) * side + box[5]]):
+                    power = _power(points, m, middles, axes, members[n])
+                    if power > most:
+                        grain, most = members[n], power
+        if grain < 0:
+            continue
+        radius = axes[grain, 1]
+        away = np.sqrt(max(radius * radius - most, zero))
+        ends = radius * np.float32(REACHES)
+        share, inside = away / ends, ends - away
+        if inside <= zero:
+            continue
+        if grain >= fixed:
+            bulge = np.float32(BULGE) * radius
+            here = _to_wall(room, points, m) + bulge
+            inside = min(inside, here)
+            if inside <= zero:
+                continue
+            share = max(share, one - here / max(_to_wall(room, middles, grain) + bulge, THINNEST))
+        # Along a ray from the grain's middle, its lead over another one's power falls evenly, to 0 at their border.
+        for i in range(box[0], box[1]):
+            for j in range(box[2], box[3]):
+                for n in range(starts[(i * side + j) * side + box[4]], starts[(i * side + j) * side + box[5]]):
+                    if members[n] != grain:
+                        first = radius * radius - _power(middles, grain, middles, axes, members[n])
+                        lead = most - _power(points, m, middles, axes, members[n])
+                        share = max(share, one - lead / max(first, np.float32(1e-6)))
+        cover = shown[m] * min(inside / BLEND, one)
+        _show(points, m, middles, axes, long, short, grain, which, stamps, min(share, one), cover, out)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _power(points, m, middles, axes, grain):  # type: ignore[no-untyped-def]
+    """The power of a grain at a point."""
+    away = np.float32(0)
+    for c in range(3):
+        d = points[m, c] - middles[grain, c]
+        away += d * d
+    return axes[grain, 1] * axes[grain, 1] - away
+
+
+@njit(cache=True, nogil=True)
+def _show(points, m, middles, axes, long, short, grain, which, stamps, share, cover, out):  # type: ignore[no-untyped-def]
+    """What a grain shows at a point, at this share of the way from its middle to its border."""
+    s, t, w = within(points, m, middles, axes, long, short, grain)
+    off, n = np.sqrt(t * t + w * w), which[grain]
+    scale = share / np.sqrt(s * s + off * off + np.float32(1e-12))
+    s, half = s * scale, off * scale
+    side = np.float32(0.5) + t / (max(off, np.float32(1e-6)) * SIDES)
+    side = min(max(side, np.float32(0)), np.float32(1))
+    for c in range(3):
+        one = stamped(stamps, n, s, half, c)
+        out[m, c] = cover * (one + (np.float32(1) - side) * (stamped(stamps, n, s, -half, c) - one))
+    out[m, 3] = cover
+
+
+@njit(cache=True, nogil=True)
+def _to_wall(room, points, m):  # type: ignore[no-untyped-def]
+    """Distance from a point to the nearest wall, interpolated."""
+    last = room.shape[0] - 1
+    scale = np.float32(last / (2 * HALF))
+    u = min(max((points[m, 0] + np.float32(HALF)) * scale, np.float32(0)), np.float32(last))
+    v = min(max((points[m, 1] + np.float32(HALF)) * scale, np.float32(0)), np.float32(last))
+    w = min(max((points[m, 2] + np.float32(HALF)) * scale, np.float32(0)), np.float32(last))
+    i, j, k = min(int(u), last - 1), min(int(v), last - 1), min(int(w), last - 1)
+    a, b, c = u - np.float32(i), v - np.float32(j), w - np.float32(k)
+    out = np.float32(0)
+    for p in range(2):
+        for q in range(2):
+            low = room[i + p, j + q, k]
+            value = low + c * (room[i + p, j + q, k + 1] - low)
+            out += (a if p else np.float32(1) - a) * (b if q else np.float32(1) - b) * value
+    return out
