@@ -126,12 +126,14 @@ class Source:
         persistence = Persistence(disc)
         rind = rind_of(disc, is_horizontal)[0]
         even = evened(disc, is_horizontal)
-        parts, relief = _apart(even, rind, FINE)
-        grains = grains or Grains.of(parts.things, relief.heights)
+        parts, relief = _apart(even, rind, FINE, None if grains is None else grains.regions)
+        if grains is None:
+            grains = Grains.of(parts.things, relief.heights)
+            if len(grains.radii):
+                parts, relief = _apart(even, rind, FINE, grains.regions)
         has_grains = len(grains.radii) > 0
         hidden = grains.regions | (relief.closed_until(rind) >= 0)
         if has_grains:
-            parts, relief = _apart(even, rind, FINE, grains.regions)
             relief = relief.closing(parts.things, parts.strength, grains.regions, grains.regions, BLEND / 2)
         return cls(
             disc,
