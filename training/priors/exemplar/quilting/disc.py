@@ -62,6 +62,7 @@ LATITUDES, LONGITUDES = 90, 180
 """Directions in which the skin of the body is sampled: two degrees, finer than any dent that a cut face shows."""
 
 LEAST_SHARE = 0.1
+"""Least part of a ring that both pictures must show for their medians there to be a pair."""
 
 RINGS, CORE_RINGS = 24, 6
 """Rings in which the colours of two pictures are matched, and how many of them are the core: too small for a median to
@@ -259,20 +260,19 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
     rings = np.flatnonzero((left > LEAST_SHARE) & (np.arange(RINGS) >= CORE_RINGS))
     colours, wanted = (ring_medians(d, RINGS, w)[rings] for d, w in zip((disc, to), where, strict=True))
     depth = np.maximum(disc_radius(), RIND_RADIUS)
-    middles = list(np.maximum((rings + 0.5) / RINGS, RIND_RADIUS))
+    middles = [np.broadcast_to(m, depth.shape) for m in np.maximum((rings + 0.5) / RINGS, RIND_RADIUS)]
     area = (2 * rings + 1) * left[rings]
     if chambers:
         grains = [np.median(d.rgb[w], axis=0)[None] for d, w in zip((disc, to), chambers, strict=True)]
         colours, wanted = (np.concatenate(both) for both in zip((colours, wanted), grains, strict=True))
-        middles.append(depth)
+        middles.append(depth)  # at any depth
         area = np.append(area, RINGS * RINGS * chambers[0].mean())
     area = area[:, None, None]
 
     def moved(rows: slice) -> NDArray[np.floating]:
         unlike = np.stack(
             [
-                np.square(disc.rgb[rows] - colour).sum(-1) / ALIKE**2
-                + (np.square((depth[rows] - middle) / NEAR) if np.isscalar(middle) else 0)
+                np.square(disc.rgb[rows] - colour).sum(-1) / ALIKE**2 + np.square((depth[rows] - middle[rows]) / NEAR)
                 for colour, middle in zip(colours, middles, strict=True)
             ]
         )
