@@ -65,6 +65,8 @@ def own_keys(*keys: Key) -> None:
 def press_in_viewport(session: Session, camera: Camera, size: tuple[int, int], picking: bool) -> None:
     """Handles keys while the viewport, the last item, has the focus. `picking`: whether points are being clicked."""
     io, keyboard = imgui.get_io(), session.keyboard
+    if not imgui.internal.test_key_owner(Key.space, 0):  # they move the pointer
+        return
     own_keys(*ARROWS, Key.enter, Key.keypad_enter, Key.space)
     if session.throw.active or io.want_text_input:
         return

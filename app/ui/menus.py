@@ -24,6 +24,7 @@ from app.ui.dialogs.slices_window import SlicesWindow
 from app.ui.film.film_window import FilmWindow
 from app.ui.panels.inspector import Inspector
 from app.ui.panels.view_options import SWITCHES
+from app.ui.pointer_keys import PointerKeys
 from app.ui.shortcuts import show_shortcuts
 from app.ui.theme import SCALES, apply
 from app.ui.toolbar import TOOL_ICONS, TOOL_NAMES
@@ -66,8 +67,9 @@ class Menus:
         export: ExportWindow,
         film_window: FilmWindow,
         inspector: Inspector,
+        pointer: PointerKeys,
     ) -> None:
-        self.inspector = inspector
+        self.inspector, self.pointer = inspector, pointer
         self.session, self.viewport, self.slice_views, self.film_window = session, viewport, slice_views, film_window
         self.dialogs, self.export, self.slices = dialogs, export, SlicesWindow(session)
         self.shortcuts_shown = False
@@ -144,6 +146,10 @@ class Menus:
                 lambda: s.settings.scale > SCALES[0],
             ),
             Command("View", _("Light theme"), self._toggle_theme, checked=lambda: s.settings.theme == "light"),
+            Command(
+                "View", _("Move the pointer by keys"), self.pointer.toggle, "F8", Key.f8,
+                checked=lambda: self.pointer.on,
+            ),
         ]  # fmt: skip
         tools = []
         for tool in TOOLS:

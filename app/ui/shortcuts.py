@@ -39,6 +39,9 @@ KEYBOARD = (
     (_("Ctrl+Arrows"), _("The same, finely")),
     ("+", _("Nearer; - farther")),
     ("F10", _("The menus")),
+    ("F8", _("Move the pointer by keys, to draw and drag")),
+    (_("Space"), _("Its button, then")),
+    (_("Enter"), _("Hold its button, let it go")),
 )
 """What keys do apart from the commands, for the same list."""
 

@@ -38,6 +38,7 @@ from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.measures import MeasuresPanel
 from app.ui.panels.recent import RecentFiles
 from app.ui.panels.thumbnails import Thumbnails
+from app.ui.pointer_keys import PointerKeys
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, u32
 from app.ui.toolbar import Toolbar
 from app.ui.view.painter import Painter
@@ -78,6 +79,7 @@ class Window:
         self.session = session
         self.start = start
         self.parts = Parts()
+        self.pointer = PointerKeys(self._warp)
         self.dropped: list[Path] = []
         self.unsaved: list[UnsavedWork] = []
         self.recovered_jobs: list[Job] = []
@@ -165,7 +167,14 @@ class Window:
         self.measures = MeasuresPanel(self.session, self.slices)
         self.inspector = Inspector(self.session, self.interior, self.measures)
         self.menus = Menus(
-            self.session, self.viewport, self.slices, self.dialogs, self.export, self.film_window, self.inspector
+            self.session,
+            self.viewport,
+            self.slices,
+            self.dialogs,
+            self.export,
+            self.film_window,
+            self.inspector,
+            self.pointer,
         )
         self.toolbar = Toolbar(self.session, self.viewport, self.export, self.menus.toggle_slices)
         if implot.get_current_context() is None:
@@ -226,9 +235,14 @@ class Window:
         )
         drawing = self.painter.unfinished and not self.painter.only_reads
         follows = self.slices.busy or session.isolation.pending  # what the user drags is read within moments
-        idling.enable_idling = not (self.viewport.moving or follows or drawing)
+        idling.enable_idling = not (self.viewport.moving or follows or drawing or self.pointer.moving)
         idling.time_active_after_last_event = WAITING_ACTIVE if waits else ACTIVE
         idling.fps_idle = WAITING_FRAMES if waits else IDLE_FRAMES
+
+    def _warp(self, x: float, y: float) -> None:
+        """Moves the system's pointer to a place in the window, where it can be moved (not under Wayland)."""
+        if glfw.get_platform() != glfw.PLATFORM_WAYLAND:
+            glfw.set_cursor_pos(self.window, x, y)
 
     def _on_drop(self, _: Any, names: Any, *__: Any) -> None:
         self.dropped += [Path(name) for name in names]
@@ -265,6 +279,7 @@ class Window:
 
     def _gui(self) -> None:
         imguizmo.im_guizmo.begin_frame()  # otherwise handles ignore the pointer
+        self.pointer.update()
         self.parts.update()
         held = any(imgui.is_key_down(key) for key in ARROWS)
         if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any() and not held:
