@@ -7,13 +7,16 @@ Everything else works as with a mouse, so no tool needs keys of its own.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
+import glfw
 from imgui_bundle import ImVec2, imgui
 
 from app.ui.keyboard import ARROWS
 from app.ui.theme import palette, px, rgba
 
-__all__ = ["PointerKeys"]
+__all__ = ["PointerKeys", "warp_in"]
 
 Key = imgui.Key
 
@@ -29,6 +32,12 @@ LONGEST = 0.05
 
 ARM, GAP = 14.0, 4.0
 """Length of the cross hair's arms and of the gap in its middle, pixels."""
+
+
+def warp_in(window: Any) -> Callable[[float, float], None]:
+    """Moves the system's pointer to a place in a GLFW window, where that can be done (not under Wayland)."""
+    can = glfw.get_platform() != glfw.PLATFORM_WAYLAND
+    return partial(glfw.set_cursor_pos, window) if can else lambda x, y: None
 
 
 class PointerKeys:

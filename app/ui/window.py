@@ -38,7 +38,7 @@ from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.measures import MeasuresPanel
 from app.ui.panels.recent import RecentFiles
 from app.ui.panels.thumbnails import Thumbnails
-from app.ui.pointer_keys import PointerKeys
+from app.ui.pointer_keys import PointerKeys, warp_in
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, u32
 from app.ui.toolbar import Toolbar
 from app.ui.view.painter import Painter
@@ -79,7 +79,6 @@ class Window:
         self.session = session
         self.start = start
         self.parts = Parts()
-        self.pointer = PointerKeys(self._warp)
         self.dropped: list[Path] = []
         self.unsaved: list[UnsavedWork] = []
         self.recovered_jobs: list[Job] = []
@@ -166,6 +165,8 @@ class Window:
         self.interior = InteriorPanel(self.session, self.viewport, self.thumbnails, self.dialogs)
         self.measures = MeasuresPanel(self.session, self.slices)
         self.inspector = Inspector(self.session, self.interior, self.measures)
+        self.window = glfw_window_hello_imgui()
+        self.pointer = PointerKeys(warp_in(self.window))
         self.menus = Menus(
             self.session,
             self.viewport,
@@ -179,7 +180,6 @@ class Window:
         self.toolbar = Toolbar(self.session, self.viewport, self.export, self.menus.toggle_slices)
         if implot.get_current_context() is None:
             implot.create_context()
-        self.window = glfw_window_hello_imgui()
         glfw.set_drop_callback(self.window, self._on_drop)
         if self.start is not None:
             self.start(self.session)
@@ -238,11 +238,6 @@ class Window:
         idling.enable_idling = not (self.viewport.moving or follows or drawing or self.pointer.moving)
         idling.time_active_after_last_event = WAITING_ACTIVE if waits else ACTIVE
         idling.fps_idle = WAITING_FRAMES if waits else IDLE_FRAMES
-
-    def _warp(self, x: float, y: float) -> None:
-        """Moves the system's pointer to a place in the window, where it can be moved (not under Wayland)."""
-        if glfw.get_platform() != glfw.PLATFORM_WAYLAND:
-            glfw.set_cursor_pos(self.window, x, y)
 
     def _on_drop(self, _: Any, names: Any, *__: Any) -> None:
         self.dropped += [Path(name) for name in names]

@@ -30,8 +30,8 @@ DISC_PIXELS."""
 FILM = 1.5
 """Cells by which own planes are thicker than the footprint where they show what is not beside them: they show it in
 full within half a cell, which is how exactly half way up an object is known. Of two pairs of pomegranates whose grains
-were carried along, cuts half a cell beside the horizontal picture's plane have an SSIM with it of 0.78 and 0.86 with 0 cells, 0.85 and 0.90 with 1.5,
-and at most 0.87 and 0.91."""
+were carried along, cuts half a cell beside the horizontal picture's plane have an SSIM with it of 0.78 and 0.86 with 0
+cells, 0.85 and 0.90 with 1.5, and at most 0.87 and 0.91."""
 
 FAMILIES = "horizontal", "radial"
 """Names of the arrays that hold the pictures."""

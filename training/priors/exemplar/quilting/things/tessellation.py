@@ -30,8 +30,8 @@ of space. N random cells in a volume are cut into 1.46 N^(2/3) in an area (Meije
 as large as the picture's grains this is the distance at which cuts have as many grains as the picture."""
 
 TIMES = 50
-"""How many times as many grains are tried as pictures say: of chambers of two pairs 0.98 and 0.96 are filled, with twice
-as many 0.99 and 0.97, with half as many 0.97 and 0.94."""
+"""How many times as many grains are tried as pictures say: of chambers of two pairs 0.98 and 0.96 are filled, with
+twice as many 0.99 and 0.97, with half as many 0.97 and 0.94."""
 
 REACHES = 1.3
 """How far a grain reaches where there is no other, over its radius: arils that are not pressed are round."""
