@@ -29,12 +29,17 @@ LABELLED = 64.0
 
 BUTTON = 26.0
 
+NARROWEST = 380.0
+"""Width at 96 DPI that the buttons need. Where there is less, as beside the inspector of a small window with a large
+interface, the panel scrolls."""
+
 
 class TimelinePanel:
     """Draws the timeline and passes edits on to the session."""
 
     def __init__(self, session: Session, window: FilmWindow) -> None:
         self.session, self.window = session, window
+        self._scrolls = False
         self._span = SHORTEST
         """Seconds that the ruler shows, which stay the same while something is dragged."""
 
@@ -42,7 +47,8 @@ class TimelinePanel:
     def height(self) -> float:
         """Height that it takes of the window, in the window's units; 0 while it is closed."""
         shown = self.session.viewing.timeline and self.session.document.scene is not None
-        return px(HEIGHT) if shown else 0.0
+        below = imgui.get_style().scrollbar_size if self._scrolls else 0.0
+        return px(HEIGHT) + below if shown else 0.0
 
     def close(self) -> None:
         """Shows the object alone again; the film is kept."""
@@ -53,11 +59,15 @@ class TimelinePanel:
         """Draws one frame, from the cursor down."""
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(10), px(8)))
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(px(5), px(6)))
-        flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
+        flags, height = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse, self.height
+        self._scrolls = width < px(NARROWEST)
+        if self._scrolls:
+            flags = imgui.WindowFlags_.horizontal_scrollbar
+            imgui.set_next_window_content_size(ImVec2(px(NARROWEST - 20), 0))
         with colours(child_bg=rgba(palette().panel)):
             imgui.begin_child(
                 "##timeline",
-                ImVec2(width, self.height),
+                ImVec2(width, height),
                 imgui.ChildFlags_.always_use_window_padding | imgui.ChildFlags_.nav_flattened,
                 flags,
             )
