@@ -70,7 +70,9 @@ def mark_colour(mark: Mark) -> str:
 def tooltip(text: str, keys: str = "") -> None:
     """Shows what the last item does, and its shortcut, while the pointer is on it, where it covers no other item."""
     if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
-        _place_tooltip()
+        lines = imgui.calc_text_size(text, False, px(300))
+        after = imgui.calc_text_size(keys).x + imgui.get_style().item_spacing.x if keys else 0.0
+        _place_tooltip(lines.x + after + 2 * px(9), lines.y + 2 * px(6))
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(9), px(6)))
         if imgui.begin_tooltip():
             imgui.push_text_wrap_pos(px(300))
@@ -83,14 +85,18 @@ def tooltip(text: str, keys: str = "") -> None:
         imgui.pop_style_var()
 
 
-def _place_tooltip() -> None:
-    """Places the tooltip beside a narrow window, on the side with more room; in a wide window, below the item."""
+def _place_tooltip(wide: float, tall: float) -> None:
+    """Places a tooltip of this size beside a narrow window, on the side with more room; in a wide window, or where
+    neither side has enough, below the item or above it, within the screen."""
     low, high, space = imgui.get_item_rect_min(), imgui.get_item_rect_max(), px(8)
     left, width, middle = imgui.get_window_pos().x, imgui.get_window_size().x, (low.y + high.y) / 2
     screen = imgui.get_main_viewport()
-    if width > px(600):
-        imgui.set_next_window_pos(ImVec2(low.x, high.y + space))
-    elif left - screen.pos.x > screen.size.x - (left + width - screen.pos.x):
+    before, after = left - screen.pos.x, screen.pos.x + screen.size.x - left - width
+    if width > px(600) or max(before, after) < wide + space:
+        below = high.y + space + tall < screen.pos.y + screen.size.y
+        x = max(min(low.x, screen.pos.x + screen.size.x - wide - space), screen.pos.x)
+        imgui.set_next_window_pos(ImVec2(x, high.y + space if below else low.y - space - tall))
+    elif before > after:
         imgui.set_next_window_pos(ImVec2(left - space, middle), imgui.Cond_.always, ImVec2(1, 0.5))
     else:
         imgui.set_next_window_pos(ImVec2(left + width + space, middle), imgui.Cond_.always, ImVec2(0, 0.5))
