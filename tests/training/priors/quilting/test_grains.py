@@ -18,7 +18,7 @@ from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.disc import Disc, disc_grid, match_light
 from training.priors.exemplar.quilting.inside import QuiltInside
-from training.priors.exemplar.quilting.labels import Source, made_of_grains
+from training.priors.exemplar.quilting.labels import Source, grains_of, made_of_grains
 from training.priors.exemplar.quilting.things.candidates import in_own_planes, strewn
 from training.priors.exemplar.quilting.things.chambers import HALF, NODES, Chambers
 from training.priors.exemplar.quilting.things.grains import Grains
@@ -214,6 +214,15 @@ def test_grains_are_brought_to_the_light_of_grains_and_ground_to_that_of_ground(
 )
 def test_of_photographs_pomegranates_are_made_of_grains(name: str, made_of_them: bool) -> None:
     assert made_of_grains(photograph(name), "_h" in name) == made_of_them
+
+
+@pytest.mark.parametrize("name", ["pomegranate_h3", "pomegranate_v5"])
+def test_chambers_are_the_same_in_another_light(name: str) -> None:
+    is_horizontal, disc = "_h" in name, photograph(name)
+    known = grains_of(disc, is_horizontal).regions
+    for rgb in (0.6 * disc.rgb, 0.5 * disc.rgb + 0.2, disc.rgb * np.array([0.8, 1.0, 1.15], np.float32)):
+        found = grains_of(Disc(np.clip(rgb, 0, 1).astype(np.float32)), is_horizontal).regions
+        assert (found & known).sum() > 0.85 * (found | known).sum()
 
 
 @pytest.mark.parametrize("kind", ["horizontal", "radial"])
