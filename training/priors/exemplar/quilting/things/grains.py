@@ -34,9 +34,9 @@ AROUND = 0.12
 """Standard deviation in radii of the neighbourhood from which a grain has to stand out: some grains wide."""
 
 STRENGTH = 0.35
-"""Least response of the normalised Laplacian at a grain, over the spread around it. Among grains a disc with a sharp rim
-has 1.5 and one that fades into the next about 0.5. A sharp straight edge has as much, so discs drawn with hard rims may
-be found finer than they are; photographs have none."""
+"""Least response of the normalised Laplacian at a grain, over the spread around it. Among grains a disc with a sharp
+rim has 1.5 and one that fades into the next about 0.5. A sharp straight edge has as much, so discs drawn with hard rims
+may be found finer than they are; photographs have none."""
 
 CONTRAST, VISIBLE = 0.35, 0.04
 """The same over the spread in the whole face, so that grains are found in a darker or paler photograph as well, and in
@@ -53,9 +53,9 @@ ENDS = 1.5
 
 CLOSE, PACKED = 0.6, 0.68
 """Least part of a neighbourhood that grains cover where they lie close, and least part of a face where they do so for
-it to be made of grains. Of 24 photographs five pomegranates have 0.81 to 0.88, and 0.70 to 0.82 with half of their light
-or contrast; two oranges with fibrous cores have 0.51 and 0.52, the others at most 0.4. Bread, taken for a round fruit,
-has 0.48 to 0.65."""
+it to be made of grains. Of 24 photographs five pomegranates have 0.81 to 0.88, and 0.70 to 0.82 with half of their
+light or contrast; two oranges with fibrous cores have 0.51 and 0.52, the others at most 0.4. Bread, taken for a round
+fruit, has 0.48 to 0.65."""
 
 TOUCHING = 1.2
 """Factor by which grains are enlarged to count what they cover: the gaps between touching discs are no ground."""
