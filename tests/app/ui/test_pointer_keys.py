@@ -44,6 +44,7 @@ class Screen:
 def screen() -> Iterator[Screen]:
     context = imgui.create_context()
     io = imgui.get_io()
+    io.set_ini_filename("")  # writes no file
     io.display_size, io.delta_time = ImVec2(800, 600), 1 / 60
     io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
     io.add_mouse_pos_event(400, 300)
