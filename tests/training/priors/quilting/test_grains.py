@@ -168,12 +168,17 @@ def test_own_grains_are_cut_by_their_plane_as_their_picture_shows_them() -> None
     assert np.abs(powers(made[0], points) - powers(made[1], points)).max() < 1e-5
 
 
+def one_grain(where: NDArray[np.bool_]) -> Grains:
+    """A grain at these pixels (P, P)."""
+    return replace(Grains.none(), cells=where.astype(np.int32), radii=np.ones(1, np.float32))
+
+
 def test_chambers_are_where_both_pictures_have_grains() -> None:
     """A horizontal picture with grains on one side, a radial one with grains in its upper half."""
     x, y = disc_grid()
     halves = [Source.of(Disc(np.full((*x.shape, 3), 0.5, np.float32)), h) for h in (True, False)]
     across, along = (
-        replace(source, grains=replace(source.grains, cells=(where & (np.hypot(x, y) < 0.9)).astype(np.int32)))
+        replace(source, grains=one_grain(where & (np.hypot(x, y) < 0.9)))
         for source, where in zip(halves, (x > 0.1, y > 0.1), strict=True)
     )
     made = Chambers.of([across], [along], 0.0, Ball.of, np.random.default_rng(0))
@@ -182,6 +187,9 @@ def test_chambers_are_where_both_pictures_have_grains() -> None:
     wanted = np.minimum(points[:, 0], points[:, 2]) - 0.1
     near = np.abs(wanted) < 0.12 + 3 * np.minimum(np.abs(points[:, 2]), 0.3) * np.abs(points[:, 1])  # walls wander
     assert ((made.at(points) > 0) == (wanted > 0))[~near].mean() > 0.98
+    alone = Chambers.of([halves[0]], [along], 0.0, Ball.of, np.random.default_rng(0))
+    upper = np.abs(points[:, 2] - 0.1) > 0.1
+    assert ((alone.at(points) > 0) == (points[:, 2] > 0.1))[upper].mean() > 0.98  # one of them is of something else
     low = points[np.abs(points[:, 2]) < 0.05]
     assert (made.at(low) < 0.05).all()  # the radial picture has its wall here
 

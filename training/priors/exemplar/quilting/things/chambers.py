@@ -54,8 +54,8 @@ class Chambers:
         ball_of: Callable[[NDArray[np.float32]], Ball],
         rng: np.random.Generator,
     ) -> Chambers:
-        """The chambers that horizontal pictures, the first of which is at this height, and radial ones show; `ball_of`
-        makes a ball of points (M, 3)."""
+        """The chambers that horizontal pictures, the first of which is at this height, and radial ones show;
+        `ball_of` makes a ball of points (M, 3)."""
         axis = np.linspace(-HALF, HALF, NODES, dtype=np.float32)
         nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
         inside = np.linalg.norm(nodes, axis=-1) < 1
@@ -104,5 +104,7 @@ def _along(sources: Sequence[Source], ball: Ball) -> NDArray[np.float32]:
 
 
 def _chambers_of(source: Source) -> NDArray[np.float32]:
-    """(P, P). The chambers of a picture, with soft edges."""
-    return blurred(source.grains.regions.astype(np.float32), SOFT)
+    """(P, P). The chambers of a picture, with soft edges; one that is not made of grains tells of none, and is all
+    chamber."""
+    regions = source.grains.regions if source.has_grains else np.ones_like(source.grains.regions)
+    return blurred(regions.astype(np.float32), SOFT)

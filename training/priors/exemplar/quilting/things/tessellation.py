@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from engine.threads import for_spans
 from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.things.candidates import Candidates, Placed
-from training.priors.exemplar.quilting.things.chambers import HALF, Chambers
+from training.priors.exemplar.quilting.things.chambers import Chambers
 from training.priors.exemplar.quilting.things.laying import LATTICE, Lattice, lattice_side, lay
 from training.priors.exemplar.quilting.things.stamps import Things, stamped, within
 
@@ -67,6 +67,8 @@ class Tessellation:
     moved."""
     lattice: Lattice
     chambers: Chambers
+    room: NDArray[np.float32]
+    """(B,). Distances from the middles of grains to the walls of their chambers."""
     stamps: NDArray[np.float32]
     """(T, S, S, 4). Stamps of all grains."""
 
@@ -87,7 +89,8 @@ class Tessellation:
         cell = float(2 * REACHES * tried.radii.max(initial=0.01))
         laid = tried.chosen(lay(tried.middles, tried.radii, NEAR, cell, count, len(tried.radii)))
         stamps = np.concatenate([some.stamps for some in grains])
-        return cls(grains, laid, count, Lattice.of(laid.middles, cell), chambers, stamps)
+        room = chambers.at(laid.middles)
+        return cls(grains, laid, count, Lattice.of(laid.middles, cell), chambers, room, stamps)
 
     def read(
         self, points: NDArray[np.float32], shown: NDArray[np.float32]
@@ -95,8 +98,9 @@ class Tessellation:
         """(M, 3) and (M,). Colours of grains at points (M, 3), multiplied by how much of the point they cover, and that
         cover, which is at most how much of them is to be `shown` (M,). Range [0, 1]."""
         out = np.empty((len(points), 4), np.float32)
-        room = self.chambers.room
-        for_spans(_read, len(out), points, shown, *self.laid, self.fixed, *self.lattice, room, self.stamps, out)
+        walls = self.chambers.at(points)
+        laid = *self.laid, self.room, self.fixed
+        for_spans(_read, len(out), points, shown, walls, *laid, *self.lattice, self.stamps, out)
         return out[:, :3], out[:, 3]
 
     def reduced(self, n: int) -> Tessellation:
@@ -121,16 +125,17 @@ def _read(
     stop: int,
     points: NDArray[np.float32],  # [M, 3]
     shown: NDArray[np.float32],  # [M]
+    walls: NDArray[np.float32],  # [M]
     middles: NDArray[np.float32],  # [B, 3]
     axes: NDArray[np.float32],  # [B, 2]
     long: NDArray[np.float32],  # [B, 3]
     short: NDArray[np.float32],  # [B, 3]
     which: NDArray[np.int64],  # [B]
+    room: NDArray[np.float32],  # [B]
     fixed: int,
     cell: float,
     starts: NDArray[np.int64],  # [C + 1]
     members: NDArray[np.int64],  # [B]
-    room: NDArray[np.float32],  # [X, Y, Z]
     stamps: NDArray[np.float32],  # [T, S, S, 4]
     out: NDArray[np.float32],  # [M, 4]
 ) -> None:
@@ -162,11 +167,11 @@ def _read(
             continue
         if grain >= fixed:
             bulge = np.float32(BULGE) * radius
-            here = _to_wall(room, points, m) + bulge
+            here = walls[m] + bulge
             inside = min(inside, here)
             if inside <= zero:
                 continue
-            share = max(share, one - here / max(_to_wall(room, middles, grain) + bulge, THINNEST))
+            share = max(share, one - here / max(room[grain] + bulge, THINNEST))
         # Along a ray from the grain's middle, its lead over another one's power falls evenly, to 0 at their border.
         for i in range(box[0], box[1]):
             for j in range(box[2], box[3]):
@@ -202,22 +207,3 @@ def _show(points, m, middles, axes, long, short, grain, which, stamps, share, co
         one = stamped(stamps, n, s, half, c)
         out[m, c] = cover * (one + (np.float32(1) - side) * (stamped(stamps, n, s, -half, c) - one))
     out[m, 3] = cover
-
-
-@njit(cache=True, nogil=True)
-def _to_wall(room, points, m):  # type: ignore[no-untyped-def]
-    """Distance from a point to the nearest wall, interpolated."""
-    last = room.shape[0] - 1
-    scale = np.float32(last / (2 * HALF))
-    u = min(max((points[m, 0] + np.float32(HALF)) * scale, np.float32(0)), np.float32(last))
-    v = min(max((points[m, 1] + np.float32(HALF)) * scale, np.float32(0)), np.float32(last))
-    w = min(max((points[m, 2] + np.float32(HALF)) * scale, np.float32(0)), np.float32(last))
-    i, j, k = min(int(u), last - 1), min(int(v), last - 1), min(int(w), last - 1)
-    a, b, c = u - np.float32(i), v - np.float32(j), w - np.float32(k)
-    out = np.float32(0)
-    for p in range(2):
-        for q in range(2):
-            low = room[i + p, j + q, k]
-            value = low + c * (room[i + p, j + q, k + 1] - low)
-            out += (a if p else np.float32(1) - a) * (b if q else np.float32(1) - b) * value
-    return out
