@@ -39,9 +39,8 @@ KEYBOARD = (
     (_("Ctrl+Arrows"), _("The same, finely")),
     ("+", _("Nearer; - farther")),
     ("F10", _("The menus")),
-    ("F8", _("Move the pointer by keys, to draw and drag")),
-    (_("Space"), _("Its button, then")),
-    (_("Enter"), _("Hold its button, let it go")),
+    (_("Space"), _("The button of a pointer moved by keys")),
+    (_("Enter"), _("Hold that button; let it go")),
 )
 """What keys do apart from the commands, for the same list."""
 
