@@ -67,11 +67,12 @@ def _walk(task, tiled, front, shares, count, cursor, atoms, weights):
     writes them if there is a cursor. Asked of its size, so that one kernel does both."""
     height, width = front.shape
     fill = len(cursor) > 0
-    kind = tiled.records.dtype.type
-    near, lane = kind(tiled.cam.near), np.empty((4, AREA), kind)
-    px, py, h, z = lane[0], lane[1], lane[2], lane[3]
+    records, spans = tiled.records, tiled.spans
+    kind = records.dtype.type
+    near, pixels = kind(tiled.cam.near), np.empty(4 * AREA, kind)
+    h, z = pixels[2 * AREA : 3 * AREA], pixels[3 * AREA :]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    rays = TileRays(px, py, base, slope)
+    rays = TileRays(pixels, base, slope)
     infinite, cutoff, layer = kind(np.inf), kind(0.5 * CUTOFF_Q), kind(tiled.layer)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
         left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
@@ -87,13 +88,12 @@ def _walk(task, tiled, front, shares, count, cursor, atoms, weights):
         fill_rays(tiled, tile, rays)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
-            r = tiled.records[i]
-            if r[DEPTH] - r[DEPTH_EXTENT] > last:
+            if records[i, DEPTH] - records[i, DEPTH_EXTENT] > last:
                 continue
-            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
+            start, end = rows_of(records, i, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
+            fragments(records, i, spans[i, 4], spans[i, 5], near, rays, start, end)
             for k in range(start, end):
                 x, y = left + k % TILE, top + k // TILE
                 if not (h[k] <= cutoff and z[k] < infinite and x < width and y < height):
@@ -109,7 +109,7 @@ def _walk(task, tiled, front, shares, count, cursor, atoms, weights):
                 if share > 0.0:
                     if fill:
                         atoms[cursor[y, x]] = i
-                        weights[cursor[y, x]] = falloff(h[k]) * r[WEIGHT] * share
+                        weights[cursor[y, x]] = falloff(h[k]) * records[i, WEIGHT] * share
                         cursor[y, x] += 1
                     else:
                         count[y, x] += 1

@@ -58,11 +58,12 @@ def _count(band, tiled, median, slack, parts):
     """Adds each splat's weight in front of the median depth (H, W), and at it, to one of parts (BANDS, N, 2)."""
     height, width = median.shape
     out = parts[band]
-    kind = tiled.records.dtype.type
-    near, lane = kind(tiled.cam.near), np.empty((4, AREA), kind)
-    px, py, h, z = lane[0], lane[1], lane[2], lane[3]
+    records, spans = tiled.records, tiled.spans
+    kind = records.dtype.type
+    near, pixels = kind(tiled.cam.near), np.empty(4 * AREA, kind)
+    h, z = pixels[2 * AREA : 3 * AREA], pixels[3 * AREA :]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    rays = TileRays(px, py, base, slope)
+    rays = TileRays(pixels, base, slope)
     cutoff = kind(0.5 * CUTOFF_Q)
     for tile in range(band, len(tiled.tile_starts) - 1, len(parts)):
         left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
@@ -73,18 +74,17 @@ def _count(band, tiled, median, slack, parts):
                 last = max(last, median[y, x] + slack)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
-            r = tiled.records[i]
-            if r[DEPTH] - r[DEPTH_EXTENT] > last:  # the far side
+            if records[i, DEPTH] - records[i, DEPTH_EXTENT] > last:  # the far side
                 continue
-            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
+            start, end = rows_of(records, i, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
+            fragments(records, i, spans[i, 4], spans[i, 5], near, rays, start, end)
             for k in range(start, end):
                 x, y = left + k % TILE, top + k // TILE
                 if h[k] > cutoff or x >= width or y >= height:
                     continue
                 if z[k] < median[y, x] - slack:
-                    out[i, 0] += falloff(h[k]) * r[WEIGHT]
+                    out[i, 0] += falloff(h[k]) * records[i, WEIGHT]
                 elif z[k] <= median[y, x] + slack:
-                    out[i, 1] += falloff(h[k]) * r[WEIGHT]
+                    out[i, 1] += falloff(h[k]) * records[i, WEIGHT]

@@ -109,9 +109,9 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
     height, width = front.shape
     kind = tiled.records.dtype.type
     near, lane = kind(tiled.cam.near), np.empty((7, AREA), kind)
-    px, py, h, z, limit, nearest, shown = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
+    h, z, limit, nearest, shown = lane[2], lane[3], lane[4], lane[5], lane[6]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    rays = TileRays(px, py, base, slope)
+    rays = TileRays(lane.reshape(-1)[: 4 * AREA], base, slope)
     visible = np.empty(AREA, np.bool_)
     behind = np.empty((SUMS, AREA), kind)
     layer, infinite = kind(tiled.layer), kind(np.inf)
@@ -128,7 +128,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
             visible[k] = False
         for pair in range(hidden.tile_starts[tile], hidden.tile_starts[tile + 1]):
             i = hidden.splat_ids[pair]
-            fragments(hidden.records[i], hidden.spans[i], near, rays, 0, AREA, h, z)
+            fragments(hidden.records, i, hidden.spans[i, 4], hidden.spans[i, 5], near, rays, 0, AREA)
             for k in range(AREA):
                 visible[k] |= (h[k] <= cutoff) & (z[k] < infinite) & (z[k] <= limit[k])
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
@@ -139,7 +139,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
             if x < width and y < height and not visible[k] and front[y, x] < infinite and ends[y, x] == front[y, x]:
                 limit[k] = front[y, x] + layer if is_partly_covered(sums[y, x]) else infinite
                 shown[k] = front[y, x]
-        add_behind(hidden, hidden_colours, tile, rays, h, z, shown, limit, behind)
+        add_behind(hidden, hidden_colours, tile, rays, shown, limit, behind)
         for k in range(AREA):
             x, y = column * TILE + k % TILE, line * TILE + k // TILE
             if behind[BEHIND, k] > kind(0.0):
@@ -154,14 +154,13 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
                 drawn, rgb = (hidden, hidden_colours) if pass_ else (tiled, colours)
                 for pair in range(drawn.tile_starts[tile], drawn.tile_starts[tile + 1]):
                     i = drawn.splat_ids[pair]
-                    r = drawn.records[i]
-                    fragments(r, drawn.spans[i], near, rays, k, k + 1, h, z)
+                    fragments(drawn.records, i, drawn.spans[i, 4], drawn.spans[i, 5], near, rays, k, k + 1)
                     if h[k] <= cutoff and z[k] < infinite:
                         g = math.exp(-h[k])
-                        w = g * r[WEIGHT]
+                        w = g * drawn.records[i, WEIGHT]
                         first = BEFORE if z[k] < begin else 0 if z[k] <= last else BEHIND
                         total[first] += w
-                        total[first + 1] += g * r[SHARPNESS]
+                        total[first + 1] += g * drawn.records[i, SHARPNESS]
                         if first == BEHIND:
                             w *= depth_weight(z[k], nearest[k], layer)
                             total[BEHIND + 5] += w

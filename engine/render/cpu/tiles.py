@@ -24,7 +24,6 @@ from engine.render.cpu.splats import (
     DEPTH_LIMIT,
     DEPTH_X,
     DEPTH_Y,
-    GRADIENT,
     SHARPNESS,
     SHEAR,
     SIGMA_X,
@@ -93,11 +92,11 @@ class TiledSplats(NamedTuple):
 
 
 class TileRays(NamedTuple):
-    """The rays of one tile's pixels. A named tuple, which numba can read."""
+    """The rays of one tile's pixels, and a splat's fragments on them. A named tuple, which numba can read."""
 
-    px: NDArray[np.floating]
-    """(AREA,). Pixel centres."""
-    py: NDArray[np.floating]
+    pixels: NDArray[np.floating]
+    """(4 AREA,). x and y of the pixels' centres, then h = q / 2 and the depth z of a splat's fragments in them: one
+    array, so that the compiler sees that they do not overlap."""
     base: NDArray[np.floating]
     """(P, AREA). Each ray's distance to each plane is base + z slope, at depth z."""
     slope: NDArray[np.floating]
@@ -151,7 +150,7 @@ def fill_rays(tiled, tile, rays):
     The pixel loops allocate these arrays and repeat the prelude: with shared functions they take twice as long.
     """
     cam, planes = tiled.cam, tiled.planes
-    px, py, base, slope = rays.px, rays.py, rays.base, rays.slope
+    px, py, base, slope = rays.pixels[:AREA], rays.pixels[AREA:], rays.base, rays.slope
     left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
     for k in range(AREA):
         u, v = left + k % TILE + 0.5, top + k // TILE + 0.5
@@ -166,14 +165,14 @@ def fill_rays(tiled, tile, rays):
 
 
 @njit(cache=True, error_model="numpy")
-def rows_of(r, extent, left, top):
-    """Pixels of a tile, as a range of whole rows, that an ellipse of `extent` standard deviations can touch."""
-    reach = extent * r[SIGMA_X]
-    u = r[U] + r[U_FRACTION] - left
+def rows_of(records, i, extent, left, top):
+    """Pixels of a tile, as a range of whole rows, that splat i's ellipse of `extent` standard deviations can touch."""
+    reach = extent * records[i, SIGMA_X]
+    u = records[i, U] + records[i, U_FRACTION] - left
     if u + reach < 0.0 or u - reach > TILE:
         return 0, 0
-    reach = extent * r[SIGMA_Y]
-    v = r[V] + r[V_FRACTION] - top
+    reach = extent * records[i, SIGMA_Y]
+    v = records[i, V] + records[i, V_FRACTION] - top
     # Rows by their centres, with a margin for rounding.
     low, high = max(v - reach - 0.501, 0.0), min(v + reach - 0.499, TILE - 1.0)
     if not (low <= high and high >= 0.0):
@@ -182,19 +181,25 @@ def rows_of(r, extent, left, top):
 
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED)
-def fragments(r, span, near, rays, start, end, h, z):
-    """Fills h = q / 2 and depth z of a splat's fragments in pixels start..end; z is infinite if clipped."""
-    px, py, base, slope = rays.px, rays.py, rays.base, rays.slope
-    zero, infinite = z.dtype.type(0), z.dtype.type(np.inf)
-    u0, u1, v0, v1, a, b, c = r[U], r[U_FRACTION], r[V], r[V_FRACTION], r[WHITEN_X], r[WHITEN_Y], r[SHEAR]
-    middle, kx, ky, reach = r[DEPTH], r[DEPTH_X], r[DEPTH_Y], r[DEPTH_LIMIT]
+def fragments(records, i, first_plane, end_plane, near, rays, start, end):
+    """Fills h and z of splat i's fragments in pixels start..end; z is infinite where one of the planes removes it.
+
+    The record is no array of its own, which all threads would count as in use in one place. A call with an array more
+    takes as long as the pixels of a small splat.
+    """
+    pixels, base, slope = rays.pixels, rays.base, rays.slope
+    zero, infinite = pixels.dtype.type(0), pixels.dtype.type(np.inf)
+    u0, u1, v0, v1 = records[i, U], records[i, U_FRACTION], records[i, V], records[i, V_FRACTION]
+    a, b, c, middle = records[i, WHITEN_X], records[i, WHITEN_Y], records[i, SHEAR], records[i, DEPTH]
+    kx, ky, reach = records[i, DEPTH_X], records[i, DEPTH_Y], records[i, DEPTH_LIMIT]
     for k in range(np.uintp(start), np.uintp(end)):
-        dx, dy = (px[k] - u0) - u1, (py[k] - v0) - v1
+        dx, dy = (pixels[k] - u0) - u1, (pixels[np.uintp(AREA) + k] - v0) - v1
         m, n = a * dx, b * (dy + c * dx)
-        h[k] = m * m + n * n
+        pixels[np.uintp(2 * AREA) + k] = m * m + n * n
         depth = middle + min(max(kx * dx + ky * dy, -reach), reach)
-        z[k] = depth if depth > near else infinite
-    for p in range(span[4], span[5]):
+        pixels[np.uintp(3 * AREA) + k] = depth if depth > near else infinite
+    z = pixels[3 * AREA :]
+    for p in range(first_plane, end_plane):
         for k in range(np.uintp(start), np.uintp(end)):
             z[k] = infinite if base[p, k] + z[k] * slope[p, k] > zero else z[k]
 
@@ -207,12 +212,12 @@ def accumulate(task, tiled, colours, front, sums):
     it are taken only where they matter: not where the layer is empty or covers the whole pixel.
     """
     height, width = front.shape
-    kind = tiled.records.dtype.type
-    near, lane = kind(tiled.cam.near), np.empty((7, AREA), kind)
-    px, py, h, z, nearest, begin, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
+    records, spans = tiled.records, tiled.spans
+    kind = records.dtype.type
+    near, lane = kind(tiled.cam.near), np.empty((7 + SUMS, AREA), kind)  # one array, as TileRays.pixels is
+    h, z, nearest, begin, limit, total = lane[2], lane[3], lane[4], lane[5], lane[6], lane[7:]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    rays = TileRays(px, py, base, slope)
-    total = np.empty((SUMS, AREA), kind)
+    rays = TileRays(lane.reshape(-1)[: 4 * AREA], base, slope)
     s0, s1, s2, s3, s4 = total[0], total[1], total[2], total[3], total[4]
     b0, b1, b2, b3, b4 = total[BEFORE], total[BEFORE + 1], total[BEFORE + 2], total[BEFORE + 3], total[BEFORE + 4]
     infinite, zero, layer = kind(np.inf), kind(0.0), kind(tiled.layer)
@@ -225,11 +230,10 @@ def accumulate(task, tiled, colours, front, sums):
             fill_rays(tiled, tile, rays)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
-            r = tiled.records[i]
-            start, end = rows_of(r, math.sqrt(CORE_Q), left, top)
+            start, end = rows_of(records, i, math.sqrt(CORE_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
+            fragments(records, i, spans[i, 4], spans[i, 5], near, rays, start, end)
             for k in range(np.uintp(start), np.uintp(end)):
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
         last = -infinite
@@ -239,14 +243,13 @@ def accumulate(task, tiled, colours, front, sums):
             last = max(last, limit[k])
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
-            r = tiled.records[i]
-            if r[DEPTH] - r[DEPTH_EXTENT] > last:
+            if records[i, DEPTH] - records[i, DEPTH_EXTENT] > last:
                 continue
-            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
+            start, end = rows_of(records, i, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
-            weight, edge = r[WEIGHT], r[SHARPNESS]
+            fragments(records, i, spans[i, 4], spans[i, 5], near, rays, start, end)
+            weight, edge = records[i, WEIGHT], records[i, SHARPNESS]
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             shown, early = False, False
             for k in range(np.uintp(start), np.uintp(end)):
@@ -276,7 +279,7 @@ def accumulate(task, tiled, colours, front, sums):
         for k in range(AREA):
             partly = s0[k] > MIN_WEIGHT and coverage(s0[k], s1[k]) < 1.0
             limit[k] = limit[k] if nearest[k] < infinite and partly else infinite
-        add_behind(tiled, colours, tile, rays, h, z, nearest, limit, total)
+        add_behind(tiled, colours, tile, rays, nearest, limit, total)
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
             if x < width and y < height:
@@ -296,14 +299,16 @@ def _open_rows(limit):
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def add_behind(tiled, colours, tile, rays, h, z, nearest, limit, total):
+def add_behind(tiled, colours, tile, rays, nearest, limit, total):
     """Adds to total (SUMS, AREA) the sums of a tile's fragments behind limit (AREA,), which is infinite for pixels that
     need none; their front is at `nearest` (AREA,).
 
-    rays as `fill_rays` fills them; h and z (AREA,) are scratch.
+    rays as `fill_rays` fills them.
     """
+    h, z = rays.pixels[2 * AREA : 3 * AREA], rays.pixels[3 * AREA :]
     left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
-    kind = tiled.records.dtype.type
+    records, spans = tiled.records, tiled.spans
+    kind = records.dtype.type
     infinite, zero, cutoff, layer = kind(np.inf), kind(0.0), kind(0.5 * CUTOFF_Q), kind(tiled.layer)
     near = kind(tiled.cam.near)
     least, first, last = _open_rows(limit)
@@ -311,14 +316,13 @@ def add_behind(tiled, colours, tile, rays, h, z, nearest, limit, total):
         return
     for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
         i = tiled.splat_ids[pair]
-        r = tiled.records[i]
-        if r[DEPTH] + r[DEPTH_EXTENT] <= least:
+        if records[i, DEPTH] + records[i, DEPTH_EXTENT] <= least:
             continue
-        start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
+        start, end = rows_of(records, i, math.sqrt(CUTOFF_Q), left, top)
         start, end = max(start, first), min(end, last)
         if start >= end:
             continue
-        fragments(r, tiled.spans[i], near, rays, start, end, h, z)
+        fragments(records, i, spans[i, 4], spans[i, 5], near, rays, start, end)
         shown = False
         for k in range(np.uintp(start), np.uintp(end)):
             g = falloff(min(h[k], cutoff))
@@ -327,7 +331,7 @@ def add_behind(tiled, colours, tile, rays, h, z, nearest, limit, total):
             shown |= matters
         if not shown:
             continue
-        weight, edge = r[WEIGHT], r[SHARPNESS]
+        weight, edge = records[i, WEIGHT], records[i, SHARPNESS]
         for k in range(np.uintp(start), np.uintp(end)):
             if h[k] > zero:
                 w = h[k] * weight
@@ -339,48 +343,56 @@ def add_behind(tiled, colours, tile, rays, h, z, nearest, limit, total):
                 total[BEHIND + 5, k] += w
 
 
-@njit(cache=True, error_model="numpy")
-def _add_row(part, g, px, py, r, red, green, blue, given, at):
-    """Adds the gradients of one row of a tile to the lanes of the GRADIENT sums in `part`, which holds the gradients of
-    weight, weight times sharpness and weight times RGB from `given` on, AREA each."""
-    u0, u1, v0, v1, weight, edge = r[U], r[U_FRACTION], r[V], r[V_FRACTION], r[WEIGHT], r[SHARPNESS]
-    given += at
-    for k in range(np.uintp(TILE)):
-        d0, d1 = part[given + k], part[given + np.uintp(AREA) + k]
-        d2, d3 = part[given + np.uintp(2 * AREA) + k], part[given + np.uintp(3 * AREA) + k]
-        d4 = part[given + np.uintp(4 * AREA) + k]
-        d_weight = d0 + red * d2 + green * d3 + blue * d4
-        p = -g[at + k] * (weight * d_weight + edge * d1)
-        dx, dy = (px[at + k] - u0) - u1, (py[at + k] - v0) - v1
-        w = g[at + k] * weight
-        part[k] += p * dx
-        part[np.uintp(TILE) + k] += p * dy
-        part[np.uintp(2 * TILE) + k] += p * dx * dx
-        part[np.uintp(3 * TILE) + k] += p * dx * dy
-        part[np.uintp(4 * TILE) + k] += p * dy * dy
-        part[np.uintp(5 * TILE) + k] += g[at + k] * d_weight
-        part[np.uintp(6 * TILE) + k] += g[at + k] * d1
-        part[np.uintp(7 * TILE) + k] += w * d2
-        part[np.uintp(8 * TILE) + k] += w * d3
-        part[np.uintp(9 * TILE) + k] += w * d4
+@njit(cache=True, error_model="numpy", fastmath=FUSED | {"reassoc"})
+def _sum_pixels(g, px, py, d_sums, given, records, i, colours, start, end, rows, at):
+    """Fills row `at` of rows (R, GRADIENT) with the gradients of splat i's fragments in pixels start..end, given
+    g = exp(-q / 2) and, from row `given` of d_sums on, the gradients of weight, weight times sharpness and weight times
+    RGB.
+
+    Sums may be taken in any order, so that they are vectors; without stores nothing has to be checked for overlap.
+    """
+    u0, u1, v0, v1 = records[i, U], records[i, U_FRACTION], records[i, V], records[i, V_FRACTION]
+    weight, edge = records[i, WEIGHT], records[i, SHARPNESS]
+    red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
+    d0, d1, d2, d3, d4 = d_sums[given], d_sums[given + 1], d_sums[given + 2], d_sums[given + 3], d_sums[given + 4]
+    zero = g.dtype.type(0)
+    x, y, xx, xy, yy, w, s, c0, c1, c2 = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
+    for k in range(np.uintp(start), np.uintp(end)):
+        dx, dy = (px[k] - u0) - u1, (py[k] - v0) - v1
+        e1, e2, e3, e4 = g[k] * d1[k], g[k] * d2[k], g[k] * d3[k], g[k] * d4[k]
+        d_weight = g[k] * d0[k] + red * e2 + green * e3 + blue * e4
+        p = weight * d_weight + edge * e1
+        p_x, p_y = p * dx, p * dy
+        x -= p_x
+        y -= p_y
+        xx -= p_x * dx
+        xy -= p_x * dy
+        yy -= p_y * dy
+        w += d_weight
+        s += e1
+        c0 += e2
+        c1 += e3
+        c2 += e4
+    rows[at, 0], rows[at, 1], rows[at, 2], rows[at, 3], rows[at, 4] = x, y, xx, xy, yy
+    rows[at, 5], rows[at, 6], rows[at, 7], rows[at, 8], rows[at, 9] = w, s, weight * c0, weight * c1, weight * c2
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
     """Writes the gradient row of every pair of some tiles, given d_sums (H, W, SUMS) of `accumulate`.
 
     A splat's pairs have adjacent rows from first_rows (N + 1,), tile after tile: they are summed in a fixed order.
     """
     height, width = front.shape
-    kind = tiled.records.dtype.type
-    near, lane = kind(tiled.cam.near), np.empty((9, AREA), kind)
+    records, spans = tiled.records, tiled.spans
+    kind = records.dtype.type
+    near, lane = kind(tiled.cam.near), np.empty((9 + SUMS + 5, AREA), kind)
     px, py, h, z, nearest, begin, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
     least, most = lane[7], lane[8]  # depths between which a fragment has a gradient
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    rays = TileRays(px, py, base, slope)
-    # One flat array: with twenty base pointers the compiler would have to assume that they overlap.
-    part = np.zeros(GRADIENT * TILE + (SUMS + 5) * AREA, kind)
-    d_tile = part[GRADIENT * TILE :].reshape(SUMS + 5, AREA)  # the last five: as one splat's fragments see them
+    rays = TileRays(lane.reshape(-1)[: 4 * AREA], base, slope)
+    d_tile = lane[9:]  # the last five: as one splat's fragments see them
+    d_tile[:] = 0
     zero, infinite = kind(0.0), kind(np.inf)
     layer, cutoff = kind(tiled.layer), kind(0.5 * CUTOFF_Q)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
@@ -404,14 +416,12 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
             last = max(last, most[k])
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
-            r = tiled.records[i]
-            if r[DEPTH] - r[DEPTH_EXTENT] > last:
+            if records[i, DEPTH] - records[i, DEPTH_EXTENT] > last:
                 continue
-            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
+            start, end = rows_of(records, i, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
-            red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
+            fragments(records, i, spans[i, 4], spans[i, 5], near, rays, start, end)
             # From here on h holds exp(-q / 2).
             shown, elsewhere = False, False
             for k in range(np.uintp(start), np.uintp(end)):
@@ -422,9 +432,9 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
                 elsewhere |= matters & ((z[k] < begin[k]) | (z[k] > limit[k]))
             if not shown:
                 continue
-            given = GRADIENT * TILE
+            given = 0
             if elsewhere:
-                given += SUMS * AREA
+                given = SUMS
                 for k in range(start, end):
                     if h[k] == zero:
                         continue
@@ -437,13 +447,5 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
                         d_tile[SUMS + c, k] = d_tile[first + c, k] * (far if c > 1 else kind(1.0))
                     if first == BEHIND:
                         d_tile[SUMS, k] += far * d_tile[BEHIND + 5, k]
-            part[: GRADIENT * TILE] = zero
-            for line_k in range(start // TILE, end // TILE):
-                _add_row(part, h, px, py, r, red, green, blue, np.uintp(given), np.uintp(line_k * TILE))
-            span = tiled.spans[i]
-            at = first_rows[i] + (line - span[2]) * (span[1] - span[0]) + column - span[0]
-            for c in range(GRADIENT):
-                total = zero
-                for k in range(c * TILE, (c + 1) * TILE):
-                    total += part[k]
-                rows[at, c] = total
+            at = first_rows[i] + (line - spans[i, 2]) * (spans[i, 1] - spans[i, 0]) + column - spans[i, 0]
+            _sum_pixels(h, px, py, d_tile, given, records, i, colours, start, end, rows, at)
