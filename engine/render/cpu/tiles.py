@@ -345,9 +345,8 @@ def add_behind(tiled, colours, tile, rays, nearest, limit, total):
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED | {"reassoc"})
 def _sum_pixels(g, px, py, d_sums, given, records, i, colours, start, end, rows, at):
-    """Fills row `at` of rows (R, GRADIENT) with the gradients of splat i's fragments in pixels start..end, given
-    g = exp(-q / 2) and, from row `given` of d_sums on, the gradients of weight, weight times sharpness and weight times
-    RGB.
+    """Fills row `at` of rows (R, GRADIENT) with the gradients of splat i's fragments in pixels start..end, from
+    g = exp(-q / 2) and those of weight, weight times sharpness and RGB, which begin in row `given` of d_sums.
 
     Sums may be taken in any order, so that they are vectors; without stores nothing has to be checked for overlap.
     """
