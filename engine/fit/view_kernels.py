@@ -69,10 +69,10 @@ def _walk(task, tiled, front, shares, count, cursor, atoms, weights):
     fill = len(cursor) > 0
     records, spans = tiled.records, tiled.spans
     kind = records.dtype.type
-    near, pixels = kind(tiled.cam.near), np.empty(4 * AREA, kind)
-    h, z = pixels[2 * AREA : 3 * AREA], pixels[3 * AREA :]
+    near, lane = kind(tiled.cam.near), np.empty((4, AREA), kind)
+    h, z = lane[2], lane[3]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    rays = TileRays(pixels, base, slope)
+    rays = TileRays(lane.reshape(-1), base, slope)
     infinite, cutoff, layer = kind(np.inf), kind(0.5 * CUTOFF_Q), kind(tiled.layer)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
         left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE

@@ -60,10 +60,10 @@ def _count(band, tiled, median, slack, parts):
     out = parts[band]
     records, spans = tiled.records, tiled.spans
     kind = records.dtype.type
-    near, pixels = kind(tiled.cam.near), np.empty(4 * AREA, kind)
-    h, z = pixels[2 * AREA : 3 * AREA], pixels[3 * AREA :]
+    near, lane = kind(tiled.cam.near), np.empty((4, AREA), kind)
+    h, z = lane[2], lane[3]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    rays = TileRays(pixels, base, slope)
+    rays = TileRays(lane.reshape(-1), base, slope)
     cutoff = kind(0.5 * CUTOFF_Q)
     for tile in range(band, len(tiled.tile_starts) - 1, len(parts)):
         left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE

@@ -96,7 +96,7 @@ class TileRays(NamedTuple):
 
     pixels: NDArray[np.floating]
     """(4 AREA,). x and y of the pixels' centres, then h = q / 2 and the depth z of a splat's fragments in them: one
-    array, so that the compiler sees that they do not overlap."""
+    array, so that the compiler sees that they do not overlap. The first rows of what a kernel works in."""
     base: NDArray[np.floating]
     """(P, AREA). Each ray's distance to each plane is base + z slope, at depth z."""
     slope: NDArray[np.floating]
@@ -376,7 +376,7 @@ def _sum_pixels(g, px, py, d_sums, given, records, i, colours, start, end, rows,
     rows[at, 5], rows[at, 6], rows[at, 7], rows[at, 8], rows[at, 9] = w, s, weight * c0, weight * c1, weight * c2
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
+@njit(cache=True, error_model="numpy", nogil=True)
 def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
     """Writes the gradient row of every pair of some tiles, given d_sums (H, W, SUMS) of `accumulate`.
 
