@@ -83,16 +83,15 @@ def find_background(rgb: NDArray[np.float32]) -> Background | None:
         own_corners = _corners(own & ~shaded, band)  # a curved surface may end in the first one's colour
         if own_corners.sum() < MIN_CORNERS:
             break
-        lit |= np.linalg.norm(smooth - surface, axis=-1) < LIT * spread
+        lit |= _lengths(smooth - surface) < LIT * spread
         shaded |= own
         corners |= own_corners
     return Background(lit, shaded, corners) if corners.any() else None
 
 
-def is_patterned(rgb: NDArray[np.float32]) -> bool:
-    """Whether surfaces leave too much of the border of a picture (H, W, 3) unexplained to be the whole background."""
-    plain = find_background(rgb)
-    return plain is None or float(plain.shaded[_border(*rgb.shape[:2])[1]].mean()) < PLAIN
+def is_patterned(plain: Background | None) -> bool:
+    """Whether the surfaces found leave too much of the picture's border unexplained to be the whole background."""
+    return plain is None or float(plain.shaded[_border(*plain.shaded.shape)[1]].mean()) < PLAIN
 
 
 def find_pattern(rgb: NDArray[np.float32]) -> Background | None:
@@ -111,14 +110,11 @@ def find_pattern(rgb: NDArray[np.float32]) -> Background | None:
     for _ in range(COLOURS):
         if not rest.any():
             break
-        colours = smooth[rest]
-        bins = np.round(colours / BIN).astype(np.int64)
-        values, counts = np.unique(bins, axis=0, return_counts=True)
-        members = colours[(np.abs(bins - values[counts.argmax()]) <= 1).all(1)]
+        members = _most_frequent(smooth[rest])
         surface = np.broadcast_to(members.mean(0), rgb.shape).astype(np.float64)
         spread = float(np.clip(np.sqrt(np.square(members - surface[0, 0]).sum(-1).mean()), *NOISE))
         own = _is_dimmed(smooth, surface, spread)
-        alike = np.linalg.norm(smooth - surface, axis=-1) < TOLERANCE * spread
+        alike = _lengths(smooth - surface) < TOLERANCE * spread
         rest &= ~own & ~alike
         if min(float(own[side].mean()) for side in sides) >= ALL_AROUND:
             lit |= alike
@@ -145,8 +141,9 @@ def _border(height: int, width: int) -> tuple[int, NDArray[np.bool_]]:
 def _is_dimmed(smooth: NDArray[np.float32], surface: NDArray[np.float64], spread: float) -> NDArray[np.bool_]:
     """(H, W). Pixels of a picture (H, W, 3) that have a surface's colour (H, W, 3) or a part of its light."""
     # The light that is left, by least squares; the small number avoids division by zero on black.
-    shade = np.clip((smooth * surface).sum(-1) / ((surface * surface).sum(-1) + 1e-3), 0, 1)
-    differs = np.linalg.norm(smooth - shade[..., None] * surface, axis=-1)
+    light = np.einsum("hwc,hwc->hw", smooth, surface) / (np.einsum("hwc,hwc->hw", surface, surface) + 1e-3)
+    shade = np.clip(light, 0, 1)
+    differs = _lengths(smooth - shade[..., None] * surface)
     return (differs < TOLERANCE * spread) & ((shade > DEEPEST) | (surface.max(-1) < DARK))
 
 
@@ -165,21 +162,31 @@ def _fit_surface(rgb: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[ND
     height, width = rgb.shape[:2]
     y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
     basis = np.stack([np.ones_like(x), x, y, x * y, x * x, y * y], -1)
-    colours = rgb[where]
-    bins = np.round(colours / BIN).astype(np.int64)
-    values, counts = np.unique(bins, axis=0, return_counts=True)
-    mode = colours[(np.abs(bins - values[counts.argmax()]) <= 1).all(1)].mean(0)
-    surface = np.broadcast_to(mode, rgb.shape).astype(np.float64)
+    colours, terms_there = rgb[where], basis[where]
+    fitted = _most_frequent(colours).mean(0, dtype=np.float64)[None]
     spread = NOISE[1]
     for terms in (1, 3, 6):
-        gap = np.linalg.norm(rgb - surface, axis=-1)
-        near = where & (gap < max(4 * spread, 0.06))
+        gap = _lengths(colours - terms_there[:, : len(fitted)] @ fitted)
+        near = gap < max(4 * spread, 0.06)
         if near.sum() < 20:  # too few to fit six terms to
             break
         # Ridge regression: unregularised, the curved terms diverge over the middle, where there are no border pixels.
-        a = basis[near][:, :terms]
+        a, b = terms_there[near][:, :terms], colours[near]
         ridge = 1e-2 * len(a) * np.diag([0.0, *[1.0] * (terms - 1)])
-        surface = basis[..., :terms] @ np.linalg.solve(a.T @ a + ridge, a.T @ rgb[near])
-        spread = float(np.sqrt(np.square(rgb[near] - surface[near]).sum(-1).mean()))
-        spread = float(np.clip(spread, *NOISE))
-    return np.clip(surface, 0, 1), spread
+        fitted = np.linalg.solve(a.T @ a + ridge, a.T @ b)
+        spread = float(np.clip(np.sqrt(np.square(_lengths(b - a @ fitted)).mean()), *NOISE))
+    return np.clip(basis[..., : len(fitted)] @ fitted, 0, 1), spread
+
+
+def _most_frequent(colours: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(M, 3). Those of colours (N, 3) that lie in the fullest bin or one beside it."""
+    bins = np.round(colours / BIN).astype(np.int64)
+    low = bins.min(0)
+    sizes = bins.max(0) - low + 1
+    fullest = np.bincount(np.ravel_multi_index(tuple((bins - low).T), tuple(sizes))).argmax()
+    return colours[(np.abs(bins - low - np.unravel_index(fullest, tuple(sizes))) <= 1).all(1)]
+
+
+def _lengths(vectors: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(...). Euclidean lengths of vectors (..., C)."""
+    return np.asarray(np.sqrt(np.einsum("...c,...c->...", vectors, vectors)))

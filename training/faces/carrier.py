@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from engine.solid.distance_transform import depth_in
-from training.faces.background import find_background, find_main_surface, find_pattern, is_patterned
+from training.faces.background import Background, find_background, find_main_surface, find_pattern, is_patterned
 from training.faces.completion import NEAR_BORDER, find_oval
 from training.faces.outline import find_mask, is_dimmed_around, largest_component
 from training.faces.shadow import SECTORS, SHADE, light_around, sectors_of
@@ -100,15 +100,16 @@ class _Within:
 def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
     """The cut face in a picture (H, W, 3), range [0, 1], and whether it may be something else: as `find_mask`, but
     without what the face lies on. Raises InputError as `find_mask` does."""
-    patterned = is_patterned(rgb)
+    plain = find_background(rgb)
+    patterned = is_patterned(plain)
     refusal = None
     try:
-        mask = None if patterned else find_mask(rgb, name)
+        mask = None if patterned else find_mask(rgb, name, plain)
     except InputError as error:
         mask, refusal = None, error
     if mask is None:
         # Where a plate crosses the border, the face on it may well not.
-        on_it = _on_what_crosses_the_border(rgb)
+        on_it = _on_what_crosses_the_border(rgb, plain)
         if on_it is not None:
             return SeenFace(on_it, _TAKEN_OFF)
         if refusal is not None:
@@ -116,7 +117,7 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
         before_pattern = _before_pattern(rgb)
         if before_pattern is not None:
             return SeenFace(before_pattern, _PATTERN)
-        mask = find_mask(rgb, name)
+        mask = find_mask(rgb, name, plain)
     mask, note = _without_arm(mask)
     if patterned:
         note = note or _PATTERN
@@ -174,14 +175,13 @@ def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
     return float((most > THIRD_COLOUR).mean())
 
 
-def _on_what_crosses_the_border(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """(H, W). The face on a ground that covers no corner of the picture, or that is itself only partly seen; None if
-    nothing on it both has a skin and throws a shadow: what is found may be the seeds of a face that the border cuts
-    off."""
+def _on_what_crosses_the_border(rgb: NDArray[np.float32], plain: Background | None) -> NDArray[np.bool_] | None:
+    """(H, W). The face on a ground that covers no corner of the picture, or that is itself only partly seen beside a
+    `plain` background; None if nothing on it both has a skin and throws a shadow: what is found may be the seeds of a
+    face that the border cuts off."""
     regions = [find_main_surface(rgb)]
-    background = find_background(rgb)
-    if background is not None:
-        regions.append(ndimage.binary_opening(~background.shaded, iterations=2))
+    if plain is not None:
+        regions.append(ndimage.binary_opening(~plain.shaded, iterations=2))
     for region in regions:
         within = _look_within(rgb, largest_component(region))
         if within is not None and within.shadow > 0 and within.skinned > HALF:
@@ -199,7 +199,7 @@ def _before_pattern(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     if pattern is None:
         return None
     try:
-        mask = find_mask(rgb, "", lambda _: pattern)
+        mask = find_mask(rgb, "", pattern)
     except InputError:
         return None
     unlike = ndimage.binary_opening(~pattern.shaded, iterations=2)

@@ -8,8 +8,6 @@ through the fruit, the strongest edge near it is taken instead; and what still h
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -79,10 +77,10 @@ SEPARATE = 0.1
 def find_mask(
     rgb: NDArray[np.float32],
     name: object,
-    learn: Callable[[NDArray[np.float32]], Background | None] = find_background,
+    background: Background | None = None,
 ) -> NDArray[np.bool_]:
-    """(H, W). The cut face in a picture (H, W, 3), range [0, 1], in front of the background that `learn` finds. Equal
-    pictures give equal masks.
+    """(H, W). The cut face in a picture (H, W, 3), range [0, 1], in front of a background, which is searched unless it
+    is given. Equal pictures give equal masks.
 
     If one side of the picture cuts a little off a round face, the mask is the part that the picture shows;
     `complete_face` completes it. When two sides did, the rim was often taken for background, and the face came out too
@@ -92,7 +90,8 @@ def find_mask(
         f"{name}: the cut face, or something beside it, reaches the picture's border; take all of it with plain "
         "background around it, or cut it out"
     )
-    background = learn(rgb)
+    if background is None:
+        background = find_background(rgb)
     if background is None:
         raise cut_off
     behind = background.shaded

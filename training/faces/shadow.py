@@ -53,15 +53,16 @@ def light_around(
         return None
     y, x = np.indices(found.shape) / max(found.shape)
     basis = np.stack([np.ones_like(x), x, y], -1)  # light from one side
-    lit = basis @ np.linalg.lstsq(basis[far], rgb[far], rcond=None)[0]
-    light = (rgb * lit).sum(-1) / ((lit * lit).sum(-1) + 1e-3)
-    tint = np.linalg.norm(rgb - light[..., None] * lit, axis=-1)
+    lit = basis[beside] @ np.linalg.lstsq(basis[far], rgb[far], rcond=None)[0]
+    colours = rgb[beside]
+    light = (colours * lit).sum(-1) / ((lit * lit).sum(-1) + 1e-3)
+    tint = np.linalg.norm(colours - light[..., None] * lit, axis=-1)
     sector = sectors_of(found, np.nonzero(beside))
     count = np.bincount(sector, minlength=SECTORS)
     seen = count > 2
     if not seen.any():
         return None
-    lights, tints = (np.bincount(sector, a[beside], SECTORS)[seen] / count[seen] for a in (light, tint))
+    lights, tints = (np.bincount(sector, a, SECTORS)[seen] / count[seen] for a in (light, tint))
     return LightAround(np.flatnonzero(seen) / SECTORS * 2 * np.pi, lights, tints)
 
 
