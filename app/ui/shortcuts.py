@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations, pairwise
+from typing import TypeAlias
 
 from imgui_bundle import ImVec2, imgui
 
 from app.translation import _
 from app.ui.commands import Command
 from app.ui.theme import Fonts, palette, px, rgba
-from app.ui.widgets import font, key_caps, secondary
+from app.ui.widgets import font, key_caps, key_caps_width, secondary
 
 __all__ = ["show_shortcuts"]
 
@@ -44,6 +46,15 @@ KEYBOARD = (
 )
 """What keys do apart from the commands, for the same list."""
 
+ORDER = "Tools", "View", "Cut", "Help", "File", "Edit", "Film"
+"""The menus in the list's order."""
+
+MOST_COLUMNS, GAP, PADDING = 4, 36, (22, 18)
+"""Columns on a wide screen, and the space between them and around the list in pixels."""
+
+Group: TypeAlias = tuple[str, list[tuple[str, str]]]
+"""A title, and keys with what they do."""
+
 
 def show_shortcuts(commands: Sequence[Command], menus: Mapping[str, str]) -> bool:
     """Draws one frame of the list; returns whether it stays open. `menus`: menu titles by the names in commands."""
@@ -51,24 +62,21 @@ def show_shortcuts(commands: Sequence[Command], menus: Mapping[str, str]) -> boo
     imgui.set_next_window_pos(screen.get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
     imgui.set_next_window_size_constraints(ImVec2(0, 0), screen.work_size)
     imgui.push_style_color(imgui.Col_.window_bg, rgba(palette().panel, 0.98))
-    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(22), px(18)))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(PADDING[0]), px(PADDING[1])))
     flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
     flags |= imgui.WindowFlags_.horizontal_scrollbar
     imgui.begin("##shortcuts", None, flags | imgui.WindowFlags_.no_saved_settings)
     with font(Fonts.bold):
         imgui.text_unformatted(_("Shortcuts"))
     imgui.separator()
-    columns = [
-        [(_("Pointer"), [*POINTER])],
-        [(_("Keyboard"), [*KEYBOARD]), (menus["Tools"], _keys(commands, "Tools"))],
-        [(menus[menu], _keys(commands, menu)) for menu in ("View", "Cut", "Help")],
-        [(menus[menu], _keys(commands, menu)) for menu in ("File", "Edit", "Film")],
-    ]
-    for number, groups in enumerate(columns):
+    groups = [(_("Pointer"), [*POINTER]), (_("Keyboard"), [*KEYBOARD])]
+    groups += [(menus[menu], _keys(commands, menu)) for menu in ORDER]
+    room = screen.work_size.x - 2 * px(PADDING[0]) - imgui.get_style().scrollbar_size
+    for number, column in enumerate(_columns(groups, room)):
         if number:
-            imgui.same_line(0, px(36))
+            imgui.same_line(0, px(GAP))
         imgui.begin_group()
-        for title, rows in groups:
+        for title, rows in column:
             secondary(title)
             if imgui.begin_table(f"##{title}", 2, imgui.TableFlags_.sizing_fixed_fit):
                 for keys, label in rows:
@@ -87,6 +95,30 @@ def show_shortcuts(commands: Sequence[Command], menus: Mapping[str, str]) -> boo
     imgui.pop_style_var()
     imgui.pop_style_color()
     return stays
+
+
+def _columns(groups: list[Group], room: float) -> list[list[Group]]:
+    """The groups, in their order, in as many columns as are `room` pixels wide together, and as low as these can be."""
+    widths = [max(imgui.calc_text_size(title).x, _width(rows)) for title, rows in groups]
+    heights = [len(rows) + 2 for _, rows in groups]  # in lines, with a title and the space below
+
+    def tallest(ends: Iterable[int]) -> int:
+        return max(sum(heights[first:end]) for first, end in pairwise(ends))
+
+    for count in range(MOST_COLUMNS, 1, -1):
+        divided = [(0, *cuts, len(groups)) for cuts in combinations(range(1, len(groups)), count - 1)]
+        gaps = (count - 1) * px(GAP)
+        fits = [ends for ends in divided if sum(max(widths[a:b]) for a, b in pairwise(ends)) + gaps <= room]
+        if fits:
+            return [groups[first:end] for first, end in pairwise(min(fits, key=tallest))]
+    return [groups]
+
+
+def _width(rows: list[tuple[str, str]]) -> float:
+    """How wide the table of these rows is."""
+    keys = max((key_caps_width(keys) for keys, _ in rows), default=0.0)
+    labels = max((imgui.calc_text_size(label).x for _, label in rows), default=0.0)
+    return keys + labels + 4 * imgui.get_style().cell_padding.x
 
 
 def _keys(commands: Sequence[Command], menu: str) -> list[tuple[str, str]]:

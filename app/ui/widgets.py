@@ -27,6 +27,7 @@ __all__ = [
     "icon_button",
     "int_slider",
     "key_caps",
+    "key_caps_width",
     "knife_icon",
     "list_row",
     "main_button",
@@ -60,6 +61,9 @@ MARK_NAMES: dict[Mark, str] = {
     "moon": _("Moon"),
     "bolt": _("Bolt"),
 }
+
+KEY_INSET, KEY_GAP = 6, 4
+"""Space on either side of a key's name and between keys, in pixels."""
 
 
 def mark_colour(mark: Mark) -> str:
@@ -104,10 +108,10 @@ def _place_tooltip(wide: float, tall: float) -> None:
 
 def key_caps(keys: str) -> None:
     """Draws a shortcut as keys: 'Ctrl+Z' as two keys."""
-    p, draw, inset = palette(), imgui.get_window_draw_list(), ImVec2(px(6), px(2))
-    for number, key in enumerate(re.split(r"(?<=[^+])\+", keys)):
+    p, draw, inset = palette(), imgui.get_window_draw_list(), ImVec2(px(KEY_INSET), px(2))
+    for number, key in enumerate(_each_key(keys)):
         if number:
-            imgui.same_line(0, px(4))
+            imgui.same_line(0, px(KEY_GAP))
         size = imgui.calc_text_size(key)
         low = imgui.get_cursor_screen_pos()
         high = ImVec2(low.x + size.x + 2 * inset.x, low.y + size.y + 2 * inset.y)
@@ -116,6 +120,16 @@ def key_caps(keys: str) -> None:
         draw.add_line(ImVec2(low.x + px(3), high.y), ImVec2(high.x - px(3), high.y), u32(p.pressed), px(2))
         draw.add_text(ImVec2(low.x + inset.x, low.y + inset.y), u32(p.text), key)
         imgui.dummy(ImVec2(high.x - low.x, high.y - low.y))
+
+
+def key_caps_width(keys: str) -> float:
+    """How wide `key_caps` draws a shortcut."""
+    each = _each_key(keys)
+    return sum(imgui.calc_text_size(key).x + 2 * px(KEY_INSET) for key in each) + (len(each) - 1) * px(KEY_GAP)
+
+
+def _each_key(keys: str) -> list[str]:
+    return re.split(r"(?<=[^+])\+", keys)
 
 
 def knife_icon(draw: imgui.ImDrawList, low: ImVec2, high: ImVec2, colour: int) -> None:
