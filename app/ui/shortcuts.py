@@ -46,9 +46,6 @@ KEYBOARD = (
 )
 """What keys do apart from the commands, for the same list."""
 
-ORDER = "Tools", "View", "Cut", "Help", "File", "Edit", "Film"
-"""The menus in the list's order."""
-
 MOST_COLUMNS, GAP, PADDING = 4, 36, (22, 18)
 """Columns on a wide screen, and the space between them and around the list in pixels."""
 
@@ -57,7 +54,8 @@ Group: TypeAlias = tuple[str, list[tuple[str, str]]]
 
 
 def show_shortcuts(commands: Sequence[Command], menus: Mapping[str, str]) -> bool:
-    """Draws one frame of the list; returns whether it stays open. `menus`: menu titles by the names in commands."""
+    """Draws one frame of the list; returns whether it stays open. `menus`: titles in the menu bar's order, by the names
+    in commands."""
     screen, stays = imgui.get_main_viewport(), True
     imgui.set_next_window_pos(screen.get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
     imgui.set_next_window_size_constraints(ImVec2(0, 0), screen.work_size)
@@ -70,7 +68,7 @@ def show_shortcuts(commands: Sequence[Command], menus: Mapping[str, str]) -> boo
         imgui.text_unformatted(_("Shortcuts"))
     imgui.separator()
     groups = [(_("Pointer"), [*POINTER]), (_("Keyboard"), [*KEYBOARD])]
-    groups += [(menus[menu], _keys(commands, menu)) for menu in ORDER]
+    groups += [(title, found) for menu, title in menus.items() if (found := _keys(commands, menu))]
     room = screen.work_size.x - 2 * px(PADDING[0]) - imgui.get_style().scrollbar_size
     for number, column in enumerate(_columns(groups, room)):
         if number:

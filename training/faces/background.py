@@ -83,7 +83,7 @@ def find_background(rgb: NDArray[np.float32]) -> Background | None:
         own_corners = _corners(own & ~shaded, band)  # a curved surface may end in the first one's colour
         if own_corners.sum() < MIN_CORNERS:
             break
-        lit |= _lengths(smooth - surface) < LIT * spread
+        lit |= np.linalg.norm(smooth - surface, axis=-1) < LIT * spread
         shaded |= own
         corners |= own_corners
     return Background(lit, shaded, corners) if corners.any() else None
@@ -114,7 +114,7 @@ def find_pattern(rgb: NDArray[np.float32]) -> Background | None:
         surface = np.broadcast_to(members.mean(0), rgb.shape).astype(np.float64)
         spread = float(np.clip(np.sqrt(np.square(members - surface[0, 0]).sum(-1).mean()), *NOISE))
         own = _is_dimmed(smooth, surface, spread)
-        alike = _lengths(smooth - surface) < TOLERANCE * spread
+        alike = np.linalg.norm(smooth - surface, axis=-1) < TOLERANCE * spread
         rest &= ~own & ~alike
         if min(float(own[side].mean()) for side in sides) >= ALL_AROUND:
             lit |= alike
@@ -143,7 +143,7 @@ def _is_dimmed(smooth: NDArray[np.float32], surface: NDArray[np.float64], spread
     # The light that is left, by least squares; the small number avoids division by zero on black.
     light = np.einsum("hwc,hwc->hw", smooth, surface) / (np.einsum("hwc,hwc->hw", surface, surface) + 1e-3)
     shade = np.clip(light, 0, 1)
-    differs = _lengths(smooth - shade[..., None] * surface)
+    differs = np.linalg.norm(smooth - shade[..., None] * surface, axis=-1)
     return (differs < TOLERANCE * spread) & ((shade > DEEPEST) | (surface.max(-1) < DARK))
 
 
@@ -166,7 +166,7 @@ def _fit_surface(rgb: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[ND
     fitted = _most_frequent(colours).mean(0, dtype=np.float64)[None]
     spread = NOISE[1]
     for terms in (1, 3, 6):
-        gap = _lengths(colours - terms_there[:, : len(fitted)] @ fitted)
+        gap = np.linalg.norm(colours - terms_there[:, : len(fitted)] @ fitted, axis=-1)
         near = gap < max(4 * spread, 0.06)
         if near.sum() < 20:  # too few to fit six terms to
             break
@@ -174,7 +174,7 @@ def _fit_surface(rgb: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[ND
         a, b = terms_there[near][:, :terms], colours[near]
         ridge = 1e-2 * len(a) * np.diag([0.0, *[1.0] * (terms - 1)])
         fitted = np.linalg.solve(a.T @ a + ridge, a.T @ b)
-        spread = float(np.clip(np.sqrt(np.square(_lengths(b - a @ fitted)).mean()), *NOISE))
+        spread = float(np.clip(np.sqrt(np.square(b - a @ fitted).sum(-1).mean()), *NOISE))
     return np.clip(basis[..., : len(fitted)] @ fitted, 0, 1), spread
 
 
@@ -185,8 +185,3 @@ def _most_frequent(colours: NDArray[np.float32]) -> NDArray[np.float32]:
     sizes = bins.max(0) - low + 1
     fullest = np.bincount(np.ravel_multi_index(tuple((bins - low).T), tuple(sizes))).argmax()
     return colours[(np.abs(bins - low - np.unravel_index(fullest, tuple(sizes))) <= 1).all(1)]
-
-
-def _lengths(vectors: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(...). Euclidean lengths of vectors (..., C)."""
-    return np.asarray(np.sqrt(np.einsum("...c,...c->...", vectors, vectors)))
