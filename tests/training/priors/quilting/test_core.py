@@ -31,20 +31,20 @@ def face(dark: NDArray[np.bool_]) -> Disc:
     return Disc((rgb + 0.01 * np.random.default_rng(0).standard_normal((*x.shape, 1))).astype(np.float32))
 
 
-def star() -> NDArray[np.bool_]:
-    """Five arms around the middle, none of them in the radial picture's plane."""
+def star(arm: float = 0.045) -> NDArray[np.bool_]:
+    """Five arms of this half width around the middle, none of them in the radial picture's plane."""
     x, y = disc_grid()
     dark = np.hypot(x, y) < 0.05
     for turn in 0.3 + np.arange(5) * 2 * np.pi / 5:
         s, t = x * np.cos(turn) + y * np.sin(turn) - 0.16, y * np.cos(turn) - x * np.sin(turn)
-        dark |= np.hypot(s / 0.14, t / 0.045) < 1
+        dark |= np.hypot(s / 0.14, t / arm) < 1
     return dark
 
 
-def pips() -> NDArray[np.bool_]:
-    """Pips on both sides of the axis."""
+def pips(wide: float = 0.05) -> NDArray[np.bool_]:
+    """Pips of this half width on both sides of the axis."""
     x, y = disc_grid()
-    return np.hypot((np.abs(x) - 0.12) / 0.05, y / TALL) < 1
+    return np.hypot((np.abs(x) - 0.12) / wide, y / TALL) < 1
 
 
 def found_in(disc: Disc, *radial: Disc) -> Core | Column:
@@ -154,19 +154,21 @@ def test_a_core_is_found_where_walls_join_it_to_the_rind() -> None:
     assert core.shape.sum() * PIXEL**2 == pytest.approx(np.pi * 0.2**2, rel=0.1)
 
 
-def test_a_radial_picture_shows_solids_as_thick_as_they_are_wide() -> None:
-    """Cut parallel to its picture's plane, a pip shows the ellipse that a spheroid has at that distance."""
-    shown = face(pips())
-    core = Core.along(even_sides(shown), core_of(face(star()), shown), 0.0)
+@pytest.mark.parametrize(("wide", "arm"), [(0.05, 0.06), (0.09, 0.045)])
+def test_a_radial_picture_shows_solids_as_thick_as_wide_or_as_the_arms_of_the_star(wide: float, arm: float) -> None:
+    """Cut parallel to its picture's plane, a pip shows the ellipse that an ellipsoid has at that distance."""
+    shown = face(pips(wide))
+    core = Core.along(even_sides(shown), core_of(face(star(arm)), shown), 0.0)
     x, y = (a[::4, ::4].ravel() for a in disc_grid())
     near = np.hypot(x, y) < 0.4
     x, y = x[near], y[near]
+    thick = min(wide, arm)
     areas = []
-    for away in (0.0, 0.02, 0.035, 0.055):
+    for away in np.array([0.0, 0.4, 0.7, 1.1]) * thick:
         rgb, deep = core.read(shown, x, y, np.full(len(x), away))
         areas.append((deep > 0).sum() * (4 * PIXEL) ** 2)
         assert np.abs(rgb[deep > 0.005] - DARK).max(initial=0) < 0.2  # of 0.7, at the edge in the picture itself
-    full = 2 * np.pi * 0.05 * TALL
+    full = 2 * np.pi * wide * TALL
     assert areas[0] == pytest.approx(full, rel=0.08)
     assert areas[1] == pytest.approx(full * (1 - 0.4**2), rel=0.12)
     assert areas[2] == pytest.approx(full * (1 - 0.7**2), rel=0.25)

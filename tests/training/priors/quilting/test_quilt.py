@@ -355,6 +355,16 @@ def test_light_is_told_from_what_is_there() -> None:
     assert np.abs(again - plain).max() < 1e-5
 
 
+def test_what_is_darker_than_flesh_is_moved_in_proportion() -> None:
+    """Black seeds and brown stains in lamplight come back as they were: not blue, and not lighter."""
+    x, y = disc_grid()
+    flesh = np.array([0.95, 0.9, 0.75])
+    there = np.where((np.hypot(x - 0.5, y) < 0.1)[..., None], [0.05, 0.04, 0.03], flesh)
+    there = np.where((np.hypot(x + 0.5, y) < 0.1)[..., None], [0.6, 0.45, 0.3], there)
+    made = match_light(Disc((there * [1.0, 0.9, 0.6]).astype(np.float32)), Disc(there.astype(np.float32))).rgb
+    assert np.abs(made - there)[np.hypot(x, y) < 0.95].max() < 0.02
+
+
 def test_closed_things_are_as_many_as_the_pictures_show() -> None:
     def seeded(seed: int) -> Disc:
         x, y = disc_grid()

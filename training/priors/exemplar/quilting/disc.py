@@ -81,6 +81,9 @@ ALIKE, NEAR = 0.15, 0.05
 """Standard deviations of the RGB distance, and in the rind of the distance in radii, over which colours are moved
 alike."""
 
+FAINTEST = 0.01
+"""Least channel of a ring of which others are shares: three steps of 255."""
+
 HALO = 0.015
 """Radii around hidden pixels that are filled in, too: edges are blurred and may cast a shadow."""
 
@@ -248,6 +251,8 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
     their rings are pairs of colours, and each colour is moved like the rings that resemble it: a white core stays white
     beside flesh that is yellow in one light and orange in the other. In the rind the depth decides as well. Rings are
     compared beside the middle alone: above and below it a radial picture shows the core as far out as its poles.
+    Channels darker than those of the rings are moved in proportion, as light multiplies: black seeds are not blue in
+    whiter light. Brighter ones are moved as far, as paler flesh is no brighter light.
 
     `chambers`: where both have grains (P, P), if they have any. These are one more pair, wherever they lie.
     """
@@ -277,11 +282,13 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
             ]
         )
         weights = np.exp((unlike.min(0) - unlike) / 2) * area
-        return np.tensordot(weights, wanted - colours, (0, 0)) / weights.sum(0)[..., None]
+        like, there = (np.tensordot(weights, m, (0, 0)) / weights.sum(0)[..., None] for m in (colours, wanted))
+        rgb, like = disc.rgb[rows], np.maximum(like, FAINTEST)
+        return rgb + (there - like) * np.minimum(rgb / like, 1)
 
     # By some rows at a time: the weights of all pixels do not fit in the cache.
-    all_moved = np.concatenate([moved(slice(n, n + ROWS)) for n in range(0, DISC_PIXELS, ROWS)])
-    return Disc(np.clip(disc.rgb + all_moved, 0, 1).astype(np.float32))
+    matched = np.concatenate([moved(slice(n, n + ROWS)) for n in range(0, DISC_PIXELS, ROWS)])
+    return Disc(np.clip(matched, 0, 1).astype(np.float32))
 
 
 def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True) -> NDArray[np.float32]:

@@ -114,7 +114,8 @@ class Core:
     @classmethod
     def along(cls, disc: Disc, core: Core, height: float) -> Core:
         """The core of a radial face of even tones, as far as it shows the core of a horizontal one at a height in the
-        ball: what stands out there is as thick as it is wide."""
+        ball. What stands out there is as thick as it is wide, but no thicker than the other picture shows it as far
+        from the axis: an arm of a star that is cut along is no ball."""
         if not core.reach:
             return core
         x, y = disc_grid()
@@ -122,6 +123,7 @@ class Core:
         if not shape.any():
             return cls.none()
         form = _form(shape)
+        form[..., 0] = np.minimum(form[..., 0], np.interp(np.abs(x), *_thickest(core.shape)))
         most = float(form[..., 0].max())
         form[..., 0] /= most
         return replace(core, region=shape, form=form, tall=(most, most))
@@ -232,6 +234,16 @@ def _form(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
     way = -np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)
     way *= (thick * PIXEL / np.maximum(np.linalg.norm(way, axis=-1), 0.05))[..., None]
     return (np.concatenate([np.stack([thick * PIXEL, off], -1), way], -1) * shape[..., None]).astype(np.float32)
+
+
+def _thickest(shape: NDArray[np.bool_]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Distances from the middle of a horizontal face at which it shows a shape (P, P), rising, and how thick that is at
+    most there, in radii."""
+    ring = (disc_radius()[shape] / PIXEL).astype(int)
+    thick = np.zeros(ring.max() + 1)
+    np.maximum.at(thick, ring, _thickness(depth_in(shape))[shape] * PIXEL)
+    shown = np.flatnonzero(thick)
+    return (shown + 0.5) * PIXEL, thick[shown]
 
 
 def _thickness(depth: NDArray[np.floating]) -> NDArray[np.floating]:
