@@ -365,6 +365,17 @@ def test_what_is_darker_than_flesh_is_moved_in_proportion() -> None:
     assert np.abs(made - there)[np.hypot(x, y) < 0.95].max() < 0.02
 
 
+def test_white_pith_stays_white_beside_flesh_and_rind_of_another_colour() -> None:
+    """Rings of the rind mix white and peel: brought to a whiter mixture, a whiter core became violet."""
+    x, y = disc_grid()
+    rind, core = (np.hypot(x, y) > 0.88)[..., None], (np.abs(x) < 0.08)[..., None]
+    yellow = np.where(core, [0.98, 0.92, 0.87], np.where(rind, [0.99, 0.91, 0.6], [0.99, 0.67, 0.05]))
+    orange = np.where(rind, [0.98, 0.94, 0.81], [0.98, 0.55, 0.02])
+    made = match_light(Disc(yellow.astype(np.float32)), Disc(orange.astype(np.float32))).read(*np.zeros((2, 1)))[0]
+    assert made[2] <= made[0]
+    assert np.abs(made - [0.98, 0.92, 0.87]).max() < 0.1
+
+
 def test_closed_things_are_as_many_as_the_pictures_show() -> None:
     def seeded(seed: int) -> Disc:
         x, y = disc_grid()

@@ -82,7 +82,7 @@ ALIKE, NEAR = 0.15, 0.05
 alike."""
 
 FAINTEST = 0.01
-"""Least channel of a ring of which others are shares: three steps of 255."""
+"""Least distance of a ring's channel from black and white, of which others are shares: three steps of 255."""
 
 HALO = 0.015
 """Radii around hidden pixels that are filled in, too: edges are blurred and may cast a shadow."""
@@ -251,8 +251,8 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
     their rings are pairs of colours, and each colour is moved like the rings that resemble it: a white core stays white
     beside flesh that is yellow in one light and orange in the other. In the rind the depth decides as well. Rings are
     compared beside the middle alone: above and below it a radial picture shows the core as far out as its poles.
-    Channels darker than those of the rings are moved in proportion, as light multiplies: black seeds are not blue in
-    whiter light. Brighter ones are moved as far, as paler flesh is no brighter light.
+    A channel is moved along the tone curve through black, the rings' two values and white: black seeds do not turn blue
+    in whiter light, nor white pith beside flesh of another colour.
 
     `chambers`: where both have grains (P, P), if they have any. These are one more pair, wherever they lie.
     """
@@ -283,8 +283,8 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
         )
         weights = np.exp((unlike.min(0) - unlike) / 2) * area
         like, there = (np.tensordot(weights, m, (0, 0)) / weights.sum(0)[..., None] for m in (colours, wanted))
-        rgb, like = disc.rgb[rows], np.maximum(like, FAINTEST)
-        return rgb + (there - like) * np.minimum(rgb / like, 1)
+        rgb, like = disc.rgb[rows], np.clip(like, FAINTEST, 1 - FAINTEST)
+        return rgb + (there - like) * np.minimum(np.minimum(rgb / like, (1 - rgb) / (1 - like)), 1)
 
     # By some rows at a time: the weights of all pixels do not fit in the cache.
     matched = np.concatenate([moved(slice(n, n + ROWS)) for n in range(0, DISC_PIXELS, ROWS)])
