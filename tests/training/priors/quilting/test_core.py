@@ -217,6 +217,25 @@ def test_nothing_dark_is_left_beside_a_core(grown: Quilt) -> None:
     assert not is_dark(grown, points).any()
 
 
+def test_the_thin_tip_of_an_arm_ends_with_the_star_and_its_stain_fades(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tip is no membrane, which would run from pole to pole, and the stain no layer around the plane."""
+    monkeypatch.setattr(quilt, "LEVELS", (16, 32))
+    x, y = disc_grid()
+    along, across = x * np.cos(0.3) + y * np.sin(0.3), y * np.cos(0.3) - x * np.sin(0.3)
+    tipped = star() | ((np.abs(across) < 0.014) & (along > 0.25) & (along < 0.6))
+    stain = np.clip(1.2 - 3 * np.hypot(x, y), 0, 1)[..., None] * [0.1, 0.1, 0.15] * ~tipped[..., None]
+    made = make_quilt([Disc((face(tipped).rgb - stain).astype(np.float32))], [face(pips())], 0, lambda part: None)
+    assert is_dark(made, level(0.0)).any()
+    for height in (-0.5, -0.3, 0.3, 0.5):
+        assert not is_dark(made, level(height)).any()
+    turn = 0.3 + np.pi / 5  # between two arms
+    height = np.linspace(0, 0.12, 25)
+    points = np.column_stack([np.full(25, 0.2 * np.cos(turn)), np.full(25, 0.2 * np.sin(turn)), height])
+    shown = made.read(points.astype(np.float32))
+    assert np.linalg.norm(shown[0] - shown[-1]) > 0.08
+    assert np.linalg.norm(np.diff(shown, axis=0), axis=1).max() < 0.03
+
+
 def test_own_planes_show_both_pictures(grown: Quilt) -> None:
     x, y = (a[::3, ::3].ravel() for a in disc_grid())
     inside = (np.hypot(x, y) < 0.75) & (np.abs(y) > 0.03)

@@ -25,6 +25,7 @@ __all__ = [
     "DISC_PIXELS",
     "PIXEL",
     "REACH",
+    "RIND_RADIUS",
     "BallMap",
     "Disc",
     "Medians",
@@ -251,8 +252,8 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
     their rings are pairs of colours, and each colour is moved like the rings that resemble it: a white core stays white
     beside flesh that is yellow in one light and orange in the other. In the rind the depth decides as well. Rings are
     compared beside the middle alone: above and below it a radial picture shows the core as far out as its poles.
-    A channel is moved along the tone curve through black, the rings' two values and white: black seeds do not turn blue
-    in whiter light, nor white pith beside flesh of another colour.
+    A colour unlike all of them is moved along the tone curve through black, theirs and white in each channel: black
+    seeds do not turn blue in whiter light, nor white pith violet beside flesh of another colour.
 
     `chambers`: where both have grains (P, P), if they have any. These are one more pair, wherever they lie.
     """
@@ -281,10 +282,13 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
                 for colour, middle in zip(colours, middles, strict=True)
             ]
         )
-        weights = np.exp((unlike.min(0) - unlike) / 2) * area
+        least = unlike.min(0)
+        weights = np.exp((least - unlike) / 2) * area
         like, there = (np.tensordot(weights, m, (0, 0)) / weights.sum(0)[..., None] for m in (colours, wanted))
         rgb, like = disc.rgb[rows], np.clip(like, FAINTEST, 1 - FAINTEST)
-        return rgb + (there - like) * np.minimum(np.minimum(rgb / like, (1 - rgb) / (1 - like)), 1)
+        on_curve = np.minimum(np.minimum(rgb / like, (1 - rgb) / (1 - like)), 1)
+        alike = np.exp(-least / 2)[..., None]
+        return rgb + (there - like) * (alike + (1 - alike) * on_curve)
 
     # By some rows at a time: the weights of all pixels do not fit in the cache.
     matched = np.concatenate([moved(slice(n, n + ROWS)) for n in range(0, DISC_PIXELS, ROWS)])

@@ -12,7 +12,9 @@ from scipy import ndimage
 from engine.threads import side_by_side
 from training.priors.exemplar.quilting.chunks import Ball, Chunks, Places, Rows
 from training.priors.exemplar.quilting.disc import (
+    RIND_RADIUS,
     Disc,
+    disc_radius,
     evened,
     filled_in,
     read_map,
@@ -158,21 +160,45 @@ class Source:
         if len(self.grains.radii):
             return self
         has_core = bool(core.region.any())
+        membranes = self.membranes
+        if self.is_horizontal and isinstance(core, Core) and has_core:
+            membranes = _without_tips(membranes, core.shape)
         even = evened(self.disc, self.is_horizontal, core.region) if has_core else self.even
-        things = self.seeds.regions | (self.membranes > FAINT_MEMBRANE) | core.shape
+        if self.is_horizontal and isinstance(core, Core):
+            # Flesh around a core is stained. It shows in its plane as tones do, not in a thin layer.
+            stain = filled_in(even.rgb - filled_in(even.rgb, core.region), core.shape)
+            even = Disc(even.rgb - smooth_disc(Disc(stain), BLUR).rgb)
+        things = self.seeds.regions | (membranes > FAINT_MEMBRANE) | core.shape
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
         if has_core and not (self.is_horizontal and isinstance(core, Column)):  # which goes on beside its picture
             relief = relief.closing(parts.things, parts.strength, core.region, hidden)
         tones = smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE)
         is_layered = goes_inwards(even, core.reach, self.rind)
-        return replace(self, core=core, even=even, parts=parts, relief=relief, tones=tones, is_layered=is_layered)
+        return replace(
+            self,
+            core=core,
+            even=even,
+            parts=parts,
+            relief=relief,
+            tones=tones,
+            membranes=membranes,
+            is_layered=is_layered,
+        )
 
 
 def _apart(even: Disc, rind: float, width: float, things: NDArray[np.bool_] | None = None) -> tuple[Parts, Relief]:
     """The parts of a picture with even tones and the relief of its things, as `take_apart` has these."""
     parts = take_apart(even, width, things)
     return parts, Relief.of(parts.things, parts.strength, rind)
+
+
+def _without_tips(membranes: NDArray[np.float32], core: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(P, P). Membranes (P, P) of a face without what begins at the shape (P, P) of a core that ends, and does not
+    reach the rind: the tip of a star's arm."""
+    parts, _ = ndimage.label(membranes > FAINT_MEMBRANE)
+    tips = np.setdiff1d(parts[core], np.append(parts[disc_radius() > RIND_RADIUS], 0))
+    return np.where(np.isin(parts, tips), np.float32(0), membranes)
 
 
 def grains_of(disc: Disc, is_horizontal: bool) -> Grains:

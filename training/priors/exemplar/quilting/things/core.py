@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.solid.distance_transform import depth_in
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, Disc, disc_grid, disc_radius, to_pixels
+from training.priors.exemplar.quilting.disc import (
+    DISC_PIXELS,
+    PIXEL,
+    RIND_RADIUS,
+    Disc,
+    disc_grid,
+    disc_radius,
+    to_pixels,
+)
 from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST
 from training.priors.exemplar.rind import FLESH
 from training.priors.exemplar.sampling import blurred, lengths, opened, read_bilinear
@@ -184,7 +192,7 @@ def find_shape(disc: Disc, rind: float) -> NDArray[np.bool_] | None:
     for thin in JOINS:
         parts, _ = ndimage.label(opened(contrast >= 1, round(thin / PIXEL)))
         found = (parts > 0) & np.isin(parts, parts[radius < CORE])
-        if not (found & (radius > 1 - rind)).any():
+        if not (found & (radius > min(1 - rind, RIND_RADIUS))).any():
             break
     else:
         return None
