@@ -74,7 +74,7 @@ def test_pictures_are_looked_at_in_threads_so_no_warning_of_the_process_is_hidde
         assert Source.of(star_shaped, True).with_core(core_of(star_shaped)).core.reach
 
 
-def test_a_core_is_as_tall_as_its_area_is_wide_or_has_the_proportions_of_radial_pictures() -> None:
+def test_a_core_is_as_tall_as_its_area_is_wide_or_as_radial_pictures_show_it() -> None:
     x, y = disc_grid()
     half = 0.13
     disc = face(np.hypot(x, y) < half)
@@ -83,8 +83,7 @@ def test_a_core_is_as_tall_as_its_area_is_wide_or_has_the_proportions_of_radial_
     assert alone.tall == pytest.approx((half, half), rel=0.05)
     for tall, size in ((0.06, 1.0), (0.12, 1.0), (0.12, 0.7)):
         shown = face(np.hypot(x / half, y / tall) < size)
-        seen = tall * np.sqrt(3) / 2  # the height at which half of the width is dark
-        assert core_of(disc, shown).tall == pytest.approx(((1 + 1 / size) / 2 * size * seen,) * 2, rel=0.12)
+        assert core_of(disc, shown).ends == pytest.approx((size * tall,) * 2, abs=0.015)
 
 
 def test_what_is_taller_than_wide_in_radial_pictures_is_a_column() -> None:
@@ -139,8 +138,34 @@ def test_a_stone_in_a_halo_has_its_own_outline_and_height() -> None:
     (across, truth), (along, _) = stone(0.36, 0.22), stone(0.36, 0.42)
     core = core_of(across, along)
     assert (core.shape & truth).sum() > 0.9 * (core.shape | truth).sum()
-    half_as_wide = 0.42 * 0.75**0.5  # as high an ellipse reaches where half of its width is left
-    assert core.tall == pytest.approx((half_as_wide, half_as_wide), rel=0.05)
+    assert core.ends == pytest.approx((0.42, 0.42), rel=0.05)
+
+
+def test_what_lies_around_a_core_within_its_reach_is_not_laid_elsewhere_as_a_seed() -> None:
+    x, y = disc_grid()
+    dark = np.hypot(x / 0.36, y / 0.22) < 1
+    for at in (0.31, 0.6):
+        dark |= np.hypot(x / 0.035, (y - at) / 0.025) < 1
+    source = Source.of(face(dark), True)
+    assert len(source.seeds.places) > 1
+    assert source.with_core(core_of(source.disc)).seeds.places == pytest.approx(np.array([[0, 0.6]]), abs=0.01)
+
+
+def test_a_stone_is_one_solid_that_two_pictures_at_different_heights_are_of() -> None:
+    """An ellipsoid that lies low: as wide at every height as it is, in its own colours, and without specks around."""
+    x, y = disc_grid()
+    low, wide, high = -0.2, 0.4, 0.44
+    across = np.sqrt(1 - (low / high) ** 2) * wide
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        pictures = face(np.hypot(x, y) < across), face(np.hypot(x / wide, (y - low) / high) < 1)
+        made = make_quilt([pictures[0]], [pictures[1]], 0, lambda part: None)
+    points = np.random.default_rng(0).uniform(-0.75, 0.75, (60_000, 3)).astype(np.float32)
+    points = points[np.linalg.norm(points, axis=1) < 0.75]
+    depth = 1 - np.linalg.norm((points - np.array([0, 0, low])) / [wide, wide, high], axis=1)
+    dark = is_dark(made, points)
+    assert dark[depth > 0.05].mean() > 0.99
+    assert dark[depth < -0.05].sum() < 0.01 * (depth > 0).sum()
 
 
 def test_a_core_is_found_where_walls_join_it_to_the_rind() -> None:
@@ -229,8 +254,8 @@ def test_the_thin_tip_of_an_arm_ends_with_the_star_and_its_stain_fades(monkeypat
     for height in (-0.5, -0.3, 0.3, 0.5):
         assert not is_dark(made, level(height)).any()
     turn = 0.3 + np.pi / 5  # between two arms
-    height = np.linspace(0, 0.12, 25)
-    points = np.column_stack([np.full(25, 0.2 * np.cos(turn)), np.full(25, 0.2 * np.sin(turn)), height])
+    rising = np.linspace(0, 0.12, 25)
+    points = np.column_stack([np.full(25, 0.2 * np.cos(turn)), np.full(25, 0.2 * np.sin(turn)), rising])
     shown = made.read(points.astype(np.float32))
     assert np.linalg.norm(shown[0] - shown[-1]) > 0.08
     assert np.linalg.norm(np.diff(shown, axis=0), axis=1).max() < 0.03

@@ -160,15 +160,17 @@ class Source:
         if len(self.grains.radii):
             return self
         has_core = bool(core.region.any())
-        membranes = self.membranes
-        if self.is_horizontal and isinstance(core, Core) and has_core:
-            membranes = _without_tips(membranes, core.shape)
+        membranes, seeds = self.membranes, self.seeds
+        if isinstance(core, Core) and has_core:
+            seeds = seeds.outside(core.region)  # those of a column are laid along it
+            if self.is_horizontal:
+                membranes = _without_tips(membranes, core.shape)
         even = evened(self.disc, self.is_horizontal, core.region) if has_core else self.even
         if self.is_horizontal and isinstance(core, Core):
             # Flesh around a core is stained. It shows in its plane as tones do, not in a thin layer.
             stain = filled_in(even.rgb - filled_in(even.rgb, core.region), core.shape)
             even = Disc(even.rgb - smooth_disc(Disc(stain), BLUR).rgb)
-        things = self.seeds.regions | (membranes > FAINT_MEMBRANE) | core.shape
+        things = seeds.regions | (membranes > FAINT_MEMBRANE) | core.shape
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
         if has_core and not (self.is_horizontal and isinstance(core, Column)):  # which goes on beside its picture
@@ -183,6 +185,7 @@ class Source:
             relief=relief,
             tones=tones,
             membranes=membranes,
+            seeds=seeds,
             is_layered=is_layered,
         )
 

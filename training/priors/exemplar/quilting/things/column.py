@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.quilting.disc import (
@@ -26,17 +25,14 @@ from training.priors.exemplar.quilting.disc import (
     filled_in,
     read_map,
 )
-from training.priors.exemplar.quilting.things.core import MARGIN, SMOOTH, stands_out
+from training.priors.exemplar.quilting.things.core import MARGIN, SMOOTH
+from training.priors.exemplar.quilting.things.widths import MOST, shown_along, widths_along
 
 __all__ = ["Column"]
 
 LEVEL = 0.15
 """Distance in radii from the horizontal picture over which widths are averaged that count as one: a crack or a seed at
 its height is not how wide the column is."""
-
-MOST = 1.5
-"""Largest width over that one, and largest distance from the axis over that in the horizontal picture: what is wider
-is joined to the column, such as a membrane."""
 
 LEAST = 0.05
 """Least such width: less is its end."""
@@ -71,8 +67,7 @@ class Column:
         cut `along` the axis, show it. Their rinds have this depth in radii."""
         reach = float(disc_radius()[shape].max()) + MARGIN
         level = disc_grid()[1][0]
-        wide = np.mean([_shown(one, reach, height).sum(0) for one in along], axis=0)
-        wide = _without_flares(ndimage.gaussian_filter1d(wide, SMOOTH / PIXEL), rind)
+        wide = _without_flares(widths_along(along, reach, height), rind)
         widths = np.minimum(wide / max(float(wide[np.abs(level - height) < LEVEL].mean()), 1.0), MOST)
         here = max(float(np.interp(height, level, widths)), LEAST)
         widths = widths / here ** np.exp(-np.square((level - height) / LEVEL))
@@ -80,7 +75,7 @@ class Column:
 
     def along(self, disc: Disc) -> Column:
         """The same column, as a radial face of even tones shows it."""
-        shown = _shown(disc, self.reach, self.height)
+        shown = shown_along(disc, self.reach, self.height)
         depth = _depth(shown)
         return replace(self, region=depth > -MARGIN, depth=depth, colours=Disc(filled_in(disc.rgb, ~shown)))
 
@@ -93,6 +88,10 @@ class Column:
         """(...). Whether the column may be at places (...), (...) of the ball and signed distances (...) from the
         horizontal picture's plane."""
         return np.hypot(x, y) < MOST * self.reach * self._widths(rise)  # radial pictures show it that wide
+
+    def depth_at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(M,). How deep places (M,), (M,) of the picture are in the column, in radii; negative outside."""
+        return read_map(self.depth, x, y)
 
     def read(
         self, disc: Disc, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]
@@ -143,17 +142,6 @@ def _beside(rise: NDArray[np.floating]) -> NDArray[np.floating]:
 def _without_small(disc: Disc, shape: NDArray[np.bool_]) -> Disc:
     """The colours of a shape (P, P) in a face, and of nothing beside it, without what is small in it."""
     return Disc(enlarged(Medians(filled_in(disc.rgb, ~shape)).over(SMALL)))
-
-
-def _shown(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
-    """(P, P). What stands out in a radial face around the axis, as far out as a column may reach, in one piece."""
-    near = np.abs(disc_grid()[0]) < MOST * reach
-    found = ndimage.binary_fill_holes(stands_out(disc, reach, height) & near & (disc_radius() < 1))
-    parts, _ = ndimage.label(found)
-    middle = slice(DISC_PIXELS // 2 - 1, DISC_PIXELS // 2 + 1)
-    sizes = np.bincount(parts[middle].ravel(), minlength=2)
-    sizes[0] = 0
-    return parts == sizes.argmax() if sizes.any() else np.zeros_like(found)
 
 
 def _depth(shape: NDArray[np.bool_]) -> NDArray[np.float32]:

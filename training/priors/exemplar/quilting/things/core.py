@@ -27,7 +27,19 @@ from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST
 from training.priors.exemplar.rind import FLESH
 from training.priors.exemplar.sampling import blurred, lengths, opened, read_bilinear
 
-__all__ = ["AXIS", "CORE", "MARGIN", "SMOOTH", "Core", "Shown", "find_shape", "seen_along", "stands_out"]
+__all__ = [
+    "AXIS",
+    "COMPACT",
+    "CORE",
+    "MARGIN",
+    "SMOOTH",
+    "Core",
+    "Profile",
+    "Shown",
+    "find_shape",
+    "seen_along",
+    "stands_out",
+]
 
 CORE = 0.12
 """Radius of the area around the axis. A region that reaches into it is part of the core, with all that is in it."""
@@ -73,9 +85,53 @@ SMOOTH = 0.015
 MARGIN = 0.03
 """Radii around a core in which nothing but its picture is shown, so that no seam passes along its edge."""
 
+COMPACT = 0.8
+"""Least share of its convex hull that a core in one piece fills: drawn stones and a melon's hollow fill 0.86 to 0.99,
+the stars of five apples 0.40 to 0.61, whose arms end each by itself."""
+
+TIP, BEYOND = 0.15, 2.0
+"""Least width of a core in one piece over the largest, where an ellipsoid is a hundredth from its end, and what stands
+for heights where it has less: no core."""
+
+BESIDE = 0.03
+"""Distance in radii from the horizontal picture over which its own colours give way to those of equal depths."""
+
 AXIS = 0.12
 """Distance from a ridge, over that of the edge, within which directions fade: on the ridge itself there is none. The
 ridge of a seed or a grain is the line through its middle across its picture's plane."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """How a core in one piece, such as a stone, narrows towards its ends, from radial pictures."""
+
+    ends: NDArray[np.float64]
+    """(P,). How near the heights of a disc's pixels are to the ends of the core: 0 where it is widest, 1 at its ends
+    and BEYOND outside, and between them as in an ellipsoid."""
+    widest: float
+    """Its largest width over that in the horizontal picture."""
+    height: float
+    """Height of the horizontal picture in the ball."""
+
+    @classmethod
+    def of(cls, wide: NDArray[np.floating], height: float, most: float) -> Profile:
+        """The profile of these widths (P,) at the heights of a disc's pixels. The horizontal picture, which is at a
+        `height` in the ball, shows its core as wide as there, but is taken to show at least 1 / `most` of its largest
+        width, as two fruits do not have their cores at the same height."""
+        shares = wide / wide.max()
+        here = max(float(np.interp(height, disc_grid()[1][0], shares)), 1 / most)
+        return cls(np.where(shares > TIP, np.sqrt(1 - np.square(shares)), BEYOND), 1 / here, height)
+
+    def at(self, rise: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(...). `ends` at signed distances (...) from the horizontal picture's plane."""
+        return np.interp(rise + self.height, disc_grid()[1][0], self.ends)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """How far in radii it reaches below and above the horizontal picture's plane."""
+        level = disc_grid()[1][0] - self.height
+        held = level[self.ends < 1]
+        return max(-float(held.min()), MARGIN), max(float(held.max()), MARGIN)
 
 
 @dataclass(frozen=True)
@@ -85,8 +141,9 @@ class Core:
     region: NDArray[np.bool_]
     """(P, P). Where the core is in the picture, and what lies between its parts."""
     form: NDArray[np.float32]
-    """(P, P, 4). The half height of the solid's ridge at each pixel, over the largest, 0 outside of the core; the
-    distance of the pixel from the ridge, over that of the edge; and the vector from the ridge to the edge, in radii."""
+    """(P, P, 4). The half height of the solid's ridge at each pixel, over the largest, 0 outside of the core, or with a
+    profile its half width in radii; the distance of the pixel from the ridge, over that of the edge; and the vector
+    from the ridge to the edge, in radii."""
     tall: tuple[float, float]
     """Largest half height in radii on either side of the plane, negative distances first; both 0 without a core."""
     ends: tuple[float, float]
@@ -94,6 +151,8 @@ class Core:
     it."""
     reach: float
     """How far it reaches from the axis, in radii; 0 without a core."""
+    profile: Profile | None = None
+    """That of a core in one piece in a horizontal picture, if radial ones show it."""
 
     @classmethod
     def none(cls) -> Core:
@@ -134,7 +193,13 @@ class Core:
         form[..., 0] = np.minimum(form[..., 0], np.interp(np.abs(x), *_thickest(core.shape)))
         most = float(form[..., 0].max())
         form[..., 0] /= most
-        return replace(core, region=shape, form=form, tall=(most, most))
+        return replace(core, region=shape, form=form, tall=(most, most), profile=None)
+
+    @classmethod
+    def in_one_piece(cls, shape: NDArray[np.bool_], profile: Profile) -> Core:
+        """The core of this shape (P, P) in a horizontal face, as wide at every height as radial faces show it."""
+        reach = float(disc_radius()[shape].max()) + MARGIN
+        return cls(disc_radius() < reach, _form(shape), (0.0, 0.0), profile.reach, reach, profile)
 
     @property
     def shape(self) -> NDArray[np.bool_]:
@@ -147,20 +212,35 @@ class Core:
         if not self.reach:
             return np.zeros(x.shape, bool)
         below, above = (end + MARGIN for end in self.ends)
-        return np.square(x * x + y * y) / self.reach**4 + (rise / np.where(rise > 0, above, below)) ** 4 < 1
+        wide = self.reach * (self.profile.widest if self.profile else 1)
+        return np.square(x * x + y * y) / wide**4 + (rise / np.where(rise > 0, above, below)) ** 4 < 1
+
+    def depth_at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(M,). How deep places (M,), (M,) of the picture are in the core, in radii; negative outside."""
+        rows, columns = (np.asarray(at, np.float32) for at in to_pixels(x, y, DISC_PIXELS))
+        form = read_bilinear(self.form, rows, columns)
+        return np.where(form[:, 0] > 0, (1 - form[:, 1]) * form[:, 0], np.float32(-1))
 
     def read(
         self, disc: Disc, x: NDArray[np.floating], y: NDArray[np.floating], away: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M, 3) and (M,). Colours of the core of this face at places (M,), (M,) of it and distances (M,) from its
         plane, and how deep in the core they are, in radii; negative outside. Equal depths have one colour."""
-        rows, columns = (np.asarray(at, np.float32) for at in to_pixels(x, y, DISC_PIXELS))
+        wide = np.float32(self.profile.widest if self.profile else 1)
+        rows, columns = (np.asarray(at, np.float32) for at in to_pixels(x / wide, y / wide, DISC_PIXELS))
         form = read_bilinear(self.form, rows, columns)
-        tall, off, way = form[:, 0] * np.where(away > 0, self.tall[1], self.tall[0]), form[:, 1], form[:, 2:]
-        part = np.hypot(off, away / np.maximum(tall, 1e-6))
+        off, way = form[:, 1], form[:, 2:]
+        if self.profile:
+            tall, part = form[:, 0] * wide, np.hypot(off, self.profile.at(away))
+        else:
+            tall = form[:, 0] * np.where(away > 0, self.tall[1], self.tall[0])
+            part = np.hypot(off, away / np.maximum(tall, 1e-6))
         deep = np.where(tall > 0, (1 - part) * tall, -1).astype(np.float32)
         moved = (off * (np.minimum(part, 1) / np.hypot(off, AXIS) - 1))[:, None] * way
-        return disc.read(x + moved[:, 0], y + moved[:, 1]), deep
+        colours = disc.read(x / wide + moved[:, 0], y / wide + moved[:, 1])
+        if self.profile:
+            colours += np.exp(-np.square(away / BESIDE))[:, None] * (disc.read(x, y) - colours)
+        return colours, deep
 
 
 def _contrast(disc: Disc) -> NDArray[np.floating]:

@@ -7,22 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from skimage.measure import regionprops
 
 from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball, OwnHeight
-from training.priors.exemplar.quilting.disc import Disc, disc_radius, evened, read_map
+from training.priors.exemplar.quilting.disc import Disc, disc_radius, evened
 from training.priors.exemplar.quilting.labels import Label, Source, made_of_grains
 from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.things.column import Column
-from training.priors.exemplar.quilting.things.core import MARGIN, Core, find_shape, seen_along
+from training.priors.exemplar.quilting.things.core import COMPACT, MARGIN, Core, Profile, find_shape, seen_along
+from training.priors.exemplar.quilting.things.widths import MOST, widths_along
 
 __all__ = ["Cores", "find_core", "find_cores", "show_core_that_ends"]
 
 ALONE = 0.015
 """Distance in radii from a picture's own plane within which other pictures' cores fade: the plane shows its picture."""
 
-COLUMN_ALONE = 0.006
-"""The same for a column, which passes through all planes: it is back where a radial picture closes beside its own."""
+WHOLE_ALONE = 0.006
+"""The same for a core in one piece, which passes through all planes: it is back where a radial picture closes beside
+its own."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,8 @@ class Cores:
         turns = np.arange(len(self.along))[:, None] * np.pi / max(len(self.along), 1)
         right, off = x * np.cos(turns) + y * np.sin(turns), y * np.cos(turns) - x * np.sin(turns)
         across = self.across.core
-        if isinstance(across, Column):
-            rgb[rows], cover[rows] = self._column(across, points[rows], rise, right, off)
+        if isinstance(across, Column) or across.profile:
+            rgb[rows], cover[rows] = self._whole(across, points[rows], rise, right, off)
         else:
             rgb[rows], cover[rows] = self._closed(points[rows], rise, right, off)
         return rgb, cover
@@ -87,24 +90,25 @@ class Cores:
             depth = np.maximum(depth, deep)
         return colours, covered
 
-    def _column(
+    def _whole(
         self,
-        across: Column,
+        across: Core | Column,
         points: NDArray[np.float32],
         rise: NDArray[np.float32],
         right: NDArray[np.floating],
         off: NDArray[np.floating],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The same of a column: radial pictures show it in their own planes, and the horizontal one between them."""
+        """The same of a core in one piece: radial pictures show it in their own planes, the horizontal one between
+        them."""
         x, y, z = points.T
         colours, covered = np.zeros((len(rise), 3), np.float32), np.zeros(len(rise), np.float32)
         change, left = np.zeros((len(rise), 3), np.float32), np.ones(len(rise), np.float32)
         for source, at, away in zip(self.along, right, off, strict=True):
+            own, covers = 1 - _seen(away, WHOLE_ALONE), _passed(source.core.depth_at(at, z))
+            colours += (own * covers * (1 - covered))[:, None] * source.disc.read(at, z)
+            covered += own * covers * (1 - covered)
+            left *= 1 - own * (1 - covers)
             if isinstance(source.core, Column):
-                own, covers = 1 - _seen(away, COLUMN_ALONE), _passed(read_map(source.core.depth, at, z))
-                colours += (own * covers * (1 - covered))[:, None] * source.disc.read(at, z)
-                covered += own * covers * (1 - covered)
-                left *= 1 - own * (1 - covers)
                 change += source.core.change(at, away, z) / len(self.along)
         stretch = np.float32(1 / np.sqrt(max(1 - self.height**2, 0.1)))  # as `Ball.level` at the picture's height
         shown, deep = across.read(self.across.disc, stretch * x, stretch * y, rise)
@@ -142,6 +146,9 @@ def find_core(
     seen = [shown for one in along if (shown := seen_along(one, reach, height))]
     if sum(shown.is_column for shown in seen) > len(seen) / 2:
         return Column.across(disc, shape, along, rind_along, height)
+    (whole,) = regionprops(shape.astype(np.uint8))
+    if seen and whole.solidity > COMPACT:
+        return Core.in_one_piece(shape, Profile.of(widths_along(along, reach, height), height, MOST))
     return Core.across(shape, seen)
 
 

@@ -15,7 +15,7 @@ from scipy import ndimage
 from skimage.measure import regionprops
 from skimage.segmentation import expand_labels
 
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, REACH, Disc, disc_grid, disc_radius
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, REACH, Disc, disc_grid, disc_radius, to_pixels
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.things.core import CORE
 from training.priors.exemplar.quilting.things.stamps import Things
@@ -101,6 +101,15 @@ class Seeds:
         pairs = np.empty((0, 2))
         nothing = np.zeros((DISC_PIXELS, DISC_PIXELS), np.int32)
         return cls(nothing, pairs, pairs, np.empty(0), nothing > 0)
+
+    def outside(self, region: NDArray[np.bool_]) -> Seeds:
+        """Those whose middles do not lie in a region (P, P)."""
+        rows = tuple(np.round(to_pixels(self.places.T[0], self.places.T[1], DISC_PIXELS)).astype(int))
+        kept = ~region[rows]
+        if kept.all():
+            return self
+        numbers = np.concatenate([[0], np.where(kept, np.cumsum(kept), 0)]).astype(np.int32)
+        return Seeds(numbers[self.parts], self.places[kept], self.axes[kept], self.turns[kept], self.regions)
 
     def things(self, disc: Disc) -> Things:
         """The seeds as the disc, which is this face in some light, shows them."""
