@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.quilting.disc import (
@@ -104,19 +106,24 @@ class Column:
         colours = self.colours.read(x, y)
         return colours + _beside(rise)[:, None] * (disc.read(x, y) - colours), depth
 
-    def change(
-        self, right: NDArray[np.floating], off: NDArray[np.floating], z: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
-        """(M, 3). How far this radial picture's colours at these heights (M,) are from its usual ones, at distances
-        (M,) from the axis along its plane and (M,) across it."""
-        if not self.shape.any():
-            return np.zeros((len(z), 3), np.float32)
-        radius = np.hypot(right, off)
-        usual = np.median(self.colours.rgb[self.shape], axis=0)
-        sides = [self.colours.read(side * radius, z) for side in (1, -1)]
-        part = (0.5 + 0.5 * right / np.maximum(radius, 1e-6))[:, None]
-        change = part * sides[0] + (1 - part) * sides[1] - usual
+    def change(self, z: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(M, 3). How far this radial picture's colours at these heights (M,) are from its usual ones. What it shows
+        across the axis is not taken over: turned around the axis it would be rings in every horizontal cut."""
+        level = disc_grid()[1][0]
+        change = np.stack([np.interp(z, level, channel) for channel in self._course.T], -1)
         return np.asarray((1 - _beside(z - self.height))[:, None] * change, np.float32)
+
+    @cached_property
+    def _course(self) -> NDArray[np.float64]:
+        """(P, 3). Median colours of the shape at the heights of a disc's pixels, less that of all of it."""
+        course = np.zeros((DISC_PIXELS, 3))
+        shape = self.shape
+        if not shape.any():
+            return course
+        usual = np.median(self.colours.rgb[shape], axis=0)
+        for row in np.flatnonzero(shape.any(0)):
+            course[row] = np.median(self.colours.rgb[shape[:, row], row], axis=0) - usual
+        return np.asarray(ndimage.gaussian_filter1d(course, SMOOTH / PIXEL, axis=0))
 
     def _widths(self, rise: NDArray[np.floating]) -> NDArray[np.float32]:
         return np.interp(rise + self.height, disc_grid()[1][0], self.widths).astype(np.float32)
