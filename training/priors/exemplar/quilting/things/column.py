@@ -42,6 +42,10 @@ LEAST = 0.05
 SMALL = 0.07
 """Radius in radii of the medians that leave what runs along the axis: nothing as small as a seed is left."""
 
+WANDER = 0.2
+"""Largest half distance in radii by which directions show a radial picture at heights of their own: larger than what is
+seen of fibres along the axis, and a part of the column."""
+
 CLOSE = 0.03
 """Distance in radii from the horizontal picture's plane within which what is small ends."""
 
@@ -106,23 +110,34 @@ class Column:
         colours = self.colours.read(x, y)
         return colours + _beside(rise)[:, None] * (disc.read(x, y) - colours), depth
 
-    def change(self, z: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(M, 3). How far this radial picture's colours at these heights (M,) are from its usual ones. What it shows
-        across the axis is not taken over: turned around the axis it would be rings in every horizontal cut."""
-        level = disc_grid()[1][0]
-        change = np.stack([np.interp(z, level, channel) for channel in self._course.T], -1)
+    def change(
+        self, right: NDArray[np.floating], off: NDArray[np.floating], z: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """(M, 3). How far this radial picture's colours at these heights (M,) are from its usual ones, at distances
+        (M,) from the axis along its plane and (M,) across it. Turned around the axis, what it shows beside the axis
+        would be rings in horizontal cuts, so each direction shows it at heights of its own."""
+        if not self.shape.any():
+            return np.zeros((len(z), 3), np.float32)
+        radius, angle = np.hypot(right, off), np.arctan2(off, right)
+        there = z + WANDER * np.abs(np.sin(angle)) * (np.sin(2 * angle + 1) + np.sin(5 * angle + 2))
+        sides = [self.colours.read(side * radius, there) for side in (1, -1)]
+        part = (0.5 + 0.5 * right / np.maximum(radius, 1e-6))[:, None]
+        change = part * sides[0] + (1 - part) * sides[1] - self._usual_at(there) + self._usual_at(z)
+        change -= np.median(self.colours.rgb[self.shape], axis=0)
         return np.asarray((1 - _beside(z - self.height))[:, None] * change, np.float32)
+
+    def _usual_at(self, z: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(M, 3). The usual colours at heights (M,)."""
+        level = disc_grid()[1][0]
+        return np.stack([np.interp(z, level, channel) for channel in self._course.T], -1)
 
     @cached_property
     def _course(self) -> NDArray[np.float64]:
-        """(P, 3). Median colours of the shape at the heights of a disc's pixels, less that of all of it."""
-        course = np.zeros((DISC_PIXELS, 3))
+        """(P, 3). Median colours of the shape at the heights of a disc's pixels; of all of it where it is not."""
         shape = self.shape
-        if not shape.any():
-            return course
-        usual = np.median(self.colours.rgb[shape], axis=0)
+        course = np.tile(np.median(self.colours.rgb[shape], axis=0).astype(np.float64), (DISC_PIXELS, 1))
         for row in np.flatnonzero(shape.any(0)):
-            course[row] = np.median(self.colours.rgb[shape[:, row], row], axis=0) - usual
+            course[row] = np.median(self.colours.rgb[shape[:, row], row], axis=0)
         return np.asarray(ndimage.gaussian_filter1d(course, SMOOTH / PIXEL, axis=0))
 
     def _widths(self, rise: NDArray[np.floating]) -> NDArray[np.float32]:

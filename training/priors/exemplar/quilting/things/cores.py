@@ -109,7 +109,7 @@ class Cores:
             covered += own * covers * (1 - covered)
             left *= 1 - own * (1 - covers)
             if isinstance(source.core, Column):
-                change += source.core.change(z) / len(self.along)
+                change += source.core.change(at, away, z) / len(self.along)
         stretch = np.float32(1 / np.sqrt(max(1 - self.height**2, 0.1)))  # as `Ball.level` at the picture's height
         shown, deep = across.read(self.across.disc, stretch * x, stretch * y, rise)
         covers = _passed(deep) * left * (1 - covered)
