@@ -119,7 +119,7 @@ class Column:
         if not self.shape.any():
             return np.zeros((len(z), 3), np.float32)
         radius, angle = np.hypot(right, off), np.arctan2(off, right)
-        there = z + WANDER * np.abs(np.sin(angle)) * (np.sin(2 * angle + 1) + np.sin(5 * angle + 2))
+        there = z + WANDER * np.abs(np.sin(angle)) * (np.sin(2 * angle + 1) + np.sin(6 * angle + 2))
         sides = [self.colours.read(side * radius, there) for side in (1, -1)]
         part = (0.5 + 0.5 * right / np.maximum(radius, 1e-6))[:, None]
         change = part * sides[0] + (1 - part) * sides[1] - self._usual_at(there) + self._usual_at(z)
