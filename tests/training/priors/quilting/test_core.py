@@ -119,6 +119,21 @@ def test_a_column_has_the_shape_of_its_picture_and_is_as_wide_as_radial_ones_sho
         assert wrong.sum() < 0.1 * max(truth.sum(), 1), (points[0], wrong.sum(), truth.sum())
 
 
+def test_what_a_radial_picture_shows_in_a_column_makes_no_rings() -> None:
+    """A dark hollow whose width changes along the axis has an uneven outline in horizontal cuts, as hollows have."""
+    x, y = disc_grid()
+    pith, hollow = (np.abs(x) < 0.2) & (np.abs(y) < 0.8), np.abs(x) < 0.08 + 0.05 * np.sin(9 * y)
+    column = Disc(np.where((pith & ~hollow)[..., None], 1.0, face(pith).rgb).astype(np.float32))
+    disc = Disc(np.where((np.hypot(x, y) < 0.2)[..., None], 1.0, face(np.zeros(x.shape, bool)).rgb).astype(np.float32))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        made = make_quilt([disc], [column], 0, lambda part: None)
+    angle = np.linspace(0.2, np.pi - 0.2, 200)
+    for height in (-0.4, 0.3):
+        ring = np.column_stack([0.08 * np.cos(angle), 0.08 * np.sin(angle), np.full(200, height)])
+        assert np.ptp(made.read(ring.astype(np.float32))[:, 0]) > 0.3
+
+
 def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() -> None:
     x, y = disc_grid()
     for dark in (np.abs(y) < 0.04, np.hypot(x - 0.4, y) < 0.08, np.zeros(x.shape, bool)):
@@ -139,6 +154,14 @@ def test_a_stone_in_a_halo_has_its_own_outline_and_height() -> None:
     core = core_of(across, along)
     assert (core.shape & truth).sum() > 0.9 * (core.shape | truth).sum()
     assert core.ends == pytest.approx((0.42, 0.42), rel=0.05)
+
+
+def test_a_stone_that_radial_pictures_show_beside_the_axis_alone_is_as_tall_as_wide() -> None:
+    x, y = disc_grid()
+    half = 0.2
+    core = core_of(face(np.hypot(x, y) < half), face(np.hypot(np.abs(x) - 0.15, y) < 0.06))
+    assert core.reach == pytest.approx(half + MARGIN, abs=0.01)
+    assert max(core.ends) < 0.25  # and it is not the rind at the poles
 
 
 def test_what_lies_around_a_core_within_its_reach_is_not_laid_elsewhere_as_a_seed() -> None:

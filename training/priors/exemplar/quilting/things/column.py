@@ -43,8 +43,8 @@ SMALL = 0.07
 """Radius in radii of the medians that leave what runs along the axis: nothing as small as a seed is left."""
 
 WANDER = 0.2
-"""Largest half distance in radii by which directions show a radial picture at heights of their own: larger than what is
-seen of fibres along the axis, and a part of the column."""
+"""Half of the largest distance in radii by which directions show a radial picture at heights of their own: more than
+the width of a column, over which its fibres change."""
 
 CLOSE = 0.03
 """Distance in radii from the horizontal picture's plane within which what is small ends."""

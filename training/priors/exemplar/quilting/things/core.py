@@ -32,6 +32,7 @@ __all__ = [
     "COMPACT",
     "CORE",
     "MARGIN",
+    "NEAR",
     "SMOOTH",
     "Core",
     "Profile",
@@ -145,7 +146,8 @@ class Core:
     profile its half width in radii; the distance of the pixel from the ridge, over that of the edge; and the vector
     from the ridge to the edge, in radii."""
     tall: tuple[float, float]
-    """Largest half height in radii on either side of the plane, negative distances first; both 0 without a core."""
+    """Largest half height in radii on either side of the plane, negative distances first; both 0 with a profile, and
+    without a core."""
     ends: tuple[float, float]
     """How far in radii the core reaches below and above the horizontal picture's plane, with what radial ones show of
     it."""
@@ -216,10 +218,10 @@ class Core:
         return np.square(x * x + y * y) / wide**4 + (rise / np.where(rise > 0, above, below)) ** 4 < 1
 
     def depth_at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(M,). How deep places (M,), (M,) of the picture are in the core, in radii; negative outside."""
+        """(M,). How deep places (M,), (M,) of a radial picture are in the core, in radii; negative outside."""
         rows, columns = (np.asarray(at, np.float32) for at in to_pixels(x, y, DISC_PIXELS))
         form = read_bilinear(self.form, rows, columns)
-        return np.where(form[:, 0] > 0, (1 - form[:, 1]) * form[:, 0], np.float32(-1))
+        return np.where(form[:, 0] > 0, (1 - form[:, 1]) * form[:, 0] * self.tall[1], -1).astype(np.float32)
 
     def read(
         self, disc: Disc, x: NDArray[np.floating], y: NDArray[np.floating], away: NDArray[np.floating]

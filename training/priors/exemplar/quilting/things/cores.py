@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from skimage.measure import regionprops
 
 from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball, OwnHeight
-from training.priors.exemplar.quilting.disc import Disc, disc_radius, evened
+from training.priors.exemplar.quilting.disc import Disc, disc_grid, disc_radius, evened
 from training.priors.exemplar.quilting.labels import Label, Source, made_of_grains
 from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.things.column import Column
-from training.priors.exemplar.quilting.things.core import COMPACT, MARGIN, Core, Profile, find_shape, seen_along
+from training.priors.exemplar.quilting.things.core import COMPACT, MARGIN, NEAR, Core, Profile, find_shape, seen_along
 from training.priors.exemplar.quilting.things.widths import MOST, widths_along
 
 __all__ = ["Cores", "find_core", "find_cores", "show_core_that_ends"]
@@ -146,10 +146,21 @@ def find_core(
     seen = [shown for one in along if (shown := seen_along(one, reach, height))]
     if sum(shown.is_column for shown in seen) > len(seen) / 2:
         return Column.across(disc, shape, along, rind_along, height)
-    (whole,) = regionprops(shape.astype(np.uint8))
-    if seen and whole.solidity > COMPACT:
-        return Core.in_one_piece(shape, Profile.of(widths_along(along, reach, height), height, MOST))
+    if profile := _profile(shape, along, reach, height):
+        return Core.in_one_piece(shape, profile)
     return Core.across(shape, seen)
+
+
+def _profile(shape: NDArray[np.bool_], along: Sequence[Disc], reach: float, height: float) -> Profile | None:
+    """The profile of a core of this shape (P, P), which reaches out to this radius at this height; None if its parts
+    end each by themselves, or if no radial face shows it around the axis near that height."""
+    (whole,) = regionprops(shape.astype(np.uint8))
+    if not along or whole.solidity < COMPACT:
+        return None
+    wide = widths_along(along, reach, height)
+    if not wide[np.abs(disc_grid()[1][0] - height) < NEAR].any():
+        return None
+    return Profile.of(wide, height, MOST)
 
 
 def show_core_that_ends(across: Sequence[Disc], along: Sequence[Disc], height: float) -> bool:
