@@ -160,13 +160,14 @@ class Source:
         if len(self.grains.radii):
             return self
         has_core = bool(core.region.any())
+        ends = has_core and isinstance(core, Core)
         membranes, seeds = self.membranes, self.seeds
-        if isinstance(core, Core) and has_core:
+        if ends:
             seeds = seeds.outside(core.region)  # those of a column are laid along it
             if self.is_horizontal:
                 membranes = _without_tips(membranes, core.shape)
         even = evened(self.disc, self.is_horizontal, core.region) if has_core else self.even
-        if self.is_horizontal and isinstance(core, Core):
+        if ends and self.is_horizontal:
             # Flesh around a core is stained. It shows in its plane as tones do, not in a thin layer.
             stain = filled_in(even.rgb - filled_in(even.rgb, core.region), core.shape)
             even = Disc(even.rgb - smooth_disc(Disc(stain), BLUR).rgb)
