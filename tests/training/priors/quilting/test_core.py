@@ -162,6 +162,8 @@ def test_a_stone_that_radial_pictures_show_beside_the_axis_alone_is_as_tall_as_w
     core = core_of(face(np.hypot(x, y) < half), face(np.hypot(np.abs(x) - 0.15, y) < 0.06))
     assert core.reach == pytest.approx(half + MARGIN, abs=0.01)
     assert max(core.ends) < 0.25  # and it is not the rind at the poles
+    speck = face(np.hypot(x, y) < 0.02)  # which shows no stone
+    assert core_of(face(np.hypot(x, y) < half), speck).tall == pytest.approx((half, half), rel=0.05)
 
 
 def test_what_lies_around_a_core_within_its_reach_is_not_laid_elsewhere_as_a_seed() -> None:

@@ -115,7 +115,8 @@ class Column:
     ) -> NDArray[np.float32]:
         """(M, 3). How far this radial picture's colours at these heights (M,) are from its usual ones, at distances
         (M,) from the axis along its plane and (M,) across it. Turned around the axis, what it shows beside the axis
-        would be rings in horizontal cuts, so each direction shows it at heights of its own."""
+        would be rings in horizontal cuts, so each direction shows it at heights of its own, and the opposite one at the
+        same ones."""
         if not self.shape.any():
             return np.zeros((len(z), 3), np.float32)
         radius, angle = np.hypot(right, off), np.arctan2(off, right)

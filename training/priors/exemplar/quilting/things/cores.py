@@ -146,7 +146,7 @@ def find_core(
     seen = [shown for one in along if (shown := seen_along(one, reach, height))]
     if sum(shown.is_column for shown in seen) > len(seen) / 2:
         return Column.across(disc, shape, along, rind_along, height)
-    if profile := _profile(shape, along, reach, height):
+    if seen and (profile := _profile(shape, along, reach, height)):
         return Core.in_one_piece(shape, profile)
     return Core.across(shape, seen)
 
@@ -155,7 +155,7 @@ def _profile(shape: NDArray[np.bool_], along: Sequence[Disc], reach: float, heig
     """The profile of a core of this shape (P, P), which reaches out to this radius at this height; None if its parts
     end each by themselves, or if no radial face shows it around the axis near that height."""
     (whole,) = regionprops(shape.astype(np.uint8))
-    if not along or whole.solidity < COMPACT:
+    if whole.solidity < COMPACT:
         return None
     wide = widths_along(along, reach, height)
     if not wide[np.abs(disc_grid()[1][0] - height) < NEAR].any():
