@@ -23,6 +23,7 @@ from training.priors.exemplar.sampling import blurred, lengths, read_as_scipy, r
 
 __all__ = [
     "DISC_PIXELS",
+    "HALO",
     "PIXEL",
     "REACH",
     "RIND_RADIUS",

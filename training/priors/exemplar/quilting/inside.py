@@ -20,7 +20,7 @@ from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 
 __all__ = ["FILM", "QUILT", "QuiltInside"]
 
-QUILT = "quilt 10"
+QUILT = "quilt 11"
 """Kind of the record. Earlier kinds had the same arrays but were other insides, from which their atoms were made."""
 
 COARSEST = 16

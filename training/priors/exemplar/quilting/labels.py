@@ -115,11 +115,20 @@ class Source:
             grains=Grains.none(),
         )
 
+    def around(self, places: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(B, 3). Colours of what seeds at places (B, 2) lie in."""
+        around = self.bare.tones.read(*places.T)
+        if isinstance(self.core, Core) and self.core.ground:
+            within = self.seeds.within(self.core.shape)
+            around[within] = self.core.ground.read(*places[within].T)
+        return around
+
     def reduced(self, n: int) -> Source:
         """The same picture with pixels n times as large, in all that is shown of it."""
         parts = Parts(*(getattr(self.parts, part.name).reduced(n) for part in fields(Parts)))
         shown = {name: getattr(self, name).reduced(n) for name in ("disc", "even", "tones")}
-        return replace(self, parts=parts, relief=self.relief.reduced(n), **shown)
+        core = self.core.reduced(n) if isinstance(self.core, Core) else self.core  # a column's colours are smooth
+        return replace(self, parts=parts, relief=self.relief.reduced(n), core=core, **shown)
 
     @classmethod
     def of(cls, disc: Disc, is_horizontal: bool, grains: Grains | None = None) -> Source:
@@ -162,8 +171,11 @@ class Source:
         has_core = bool(core.region.any())
         ends = has_core and isinstance(core, Core)
         membranes, seeds = self.membranes, self.seeds
-        if ends:
-            seeds = seeds.outside(core.region)  # those of a column are laid along it
+        if isinstance(core, Core) and has_core:
+            seeds = seeds.chosen(~seeds.within(core.region))  # those of a column are laid along it
+            if core.profile:
+                core, inner = self._taken_out(core)
+                seeds = seeds.and_also(inner)
             if self.is_horizontal:
                 membranes = _without_tips(membranes, core.shape)
         even = evened(self.disc, self.is_horizontal, core.region) if has_core else self.even
@@ -189,6 +201,18 @@ class Source:
             seeds=seeds,
             is_layered=is_layered,
         )
+
+    def _taken_out(self, core: Core) -> tuple[Core, Seeds]:
+        """A core in one piece without what lies in it, such as the hollow of a melon, and the seeds that do."""
+        if core.has_layers(self.disc):
+            return core, Seeds.none()
+        relief = _apart(core.inner(self.disc), 0.0, FINE)[1]
+        things = (relief.contrast() >= 1) & core.shape
+        if not things.any():
+            return core, Seeds.none()
+        found = Seeds.of(relief, self.is_horizontal, 0.0, core=0.0)
+        ground = Disc(filled_in(self.disc.rgb, things | ~core.shape))
+        return replace(core, ground=ground), replace(found.chosen(found.within(core.shape)), regions=things)
 
 
 def _apart(even: Disc, rind: float, width: float, things: NDArray[np.bool_] | None = None) -> tuple[Parts, Relief]:

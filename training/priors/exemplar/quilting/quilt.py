@@ -347,7 +347,8 @@ def _packed(ground: Quilt, planes: list[Label], across: list[Source], along: lis
         return None
     rng = np.random.default_rng([seed, 6])
     both = zip([*across, *along], things, strict=True)
-    around_them = np.concatenate([source.bare.tones.read(*some.places.T) for source, some in both])
+    around_them = np.concatenate([source.around(some.places) for source, some in both])
+    in_core = np.concatenate([source.seeds.within(source.core.shape) for source in [*across, *along]])
     first_radial = sum(len(some.places) for some in things[: len(across)])
 
     def is_free(tried: Candidates) -> NDArray[np.bool_]:
@@ -360,6 +361,8 @@ def _packed(ground: Quilt, planes: list[Label], across: list[Source], along: lis
             off = np.abs(tried.middles[rows, 2:] - known).min(1)
             likely[rows] = np.maximum(np.exp(-np.square(off / HEIGHTS) / 2), ANYWHERE)
         unlike = np.linalg.norm(ground.read_evened(tried.middles) - around_them[tried.stamps], axis=1)
+        if ground.cores is not None and in_core.any():
+            free &= (ground.cores.read(tried.middles)[1] > 0.5) == in_core[tried.stamps]
         return free & (rng.uniform(size=len(likely)) < likely) & (unlike < UNLIKE)
 
     placed = in_own_planes(own, _heights(planes), len(around_them))

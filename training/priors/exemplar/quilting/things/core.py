@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from skimage.measure import regionprops
 
 from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
+    HALO,
     PIXEL,
     RIND_RADIUS,
     Disc,
@@ -50,6 +52,18 @@ EDGE, STRONG = 0.5, 0.8
 stands out that is a core's contrast in a horizontal picture: the flesh around a star is stained, and by the median it
 was a part of the stars of three apples. In radial pictures, where seeds and what holds them are as tall as a core, the
 median is taken."""
+
+WHOLE, SHARP, RAISED = 0.9, 0.95, 1.25
+"""Least share of its hull that is filled by what stands out around the axis if all of that is the core, whatever lies
+in it, as the hollow of a papaya with its seeds; and least share of it that stands out by more than this factor of the
+least contrast."""
+
+GAP = 2 * NARROWEST
+"""Half width in radii of gaps that do not part such a core: between a hollow and pale seeds is the colour of flesh."""
+
+UNDER, AT_EDGE = (0.02, 0.06), 0.1
+"""Depths in radii under the outline of such a core, and the quantile there, that are its contrast at its edge: seeds
+that lie there stand out more."""
 
 NEAR = 0.15
 """Distance in radii from the height of a horizontal picture within which its core is looked for in radial ones: two
@@ -90,6 +104,10 @@ COMPACT = 0.8
 """Least share of its convex hull that a core in one piece fills: drawn stones and a melon's hollow fill 0.86 to 0.99,
 the stars of five apples 0.40 to 0.61, whose arms end each by itself."""
 
+LAYER, LAYERED = 0.01, 0.7
+"""Thickness in radii of layers along a core's outline, and the least share of its contrast that is between them if it
+is made of layers, which are no seeds. Drawn halos around stones have 0.80, rows of seeds along a hollow up to 0.58."""
+
 TIP, BEYOND = 0.15, 2.0
 """Least width of a core in one piece over the largest, where an ellipsoid is a hundredth from its end, and what stands
 for heights where it has less: no core."""
@@ -127,6 +145,11 @@ class Profile:
         """(...). `ends` at signed distances (...) from the horizontal picture's plane."""
         return np.interp(rise + self.height, disc_grid()[1][0], self.ends)
 
+    def grown(self, rise: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(...). Its width at signed distances (...) from the horizontal picture's plane, over that in the plane."""
+        width = np.sqrt(np.maximum(1 - np.square(self.at(rise)), TIP**2))
+        return np.asarray(width / np.sqrt(max(1 - float(self.at(np.zeros(())) ** 2), TIP**2)))
+
     @property
     def reach(self) -> tuple[float, float]:
         """How far in radii it reaches below and above the horizontal picture's plane."""
@@ -154,7 +177,9 @@ class Core:
     reach: float
     """How far it reaches from the axis, in radii; 0 without a core."""
     profile: Profile | None = None
-    """That of a core in one piece in a horizontal picture, if radial ones show it."""
+    """That of a core in one piece, if radial pictures show it."""
+    ground: Disc | None = None
+    """What a core in one piece shows away from its picture's plane if things lie in it: the face without these."""
 
     @classmethod
     def none(cls) -> Core:
@@ -189,13 +214,15 @@ class Core:
             return core
         x, y = disc_grid()
         shape = stands_out(disc, core.reach, height) & core.holds(x, np.zeros_like(x), y - height)
+        if core.profile:
+            shape = ndimage.binary_fill_holes(shape)
         if not shape.any():
             return cls.none()
         form = _form(shape)
         form[..., 0] = np.minimum(form[..., 0], np.interp(np.abs(x), *_thickest(core.shape)))
         most = float(form[..., 0].max())
         form[..., 0] /= most
-        return replace(core, region=shape, form=form, tall=(most, most), profile=None)
+        return replace(core, region=shape, form=form, tall=(most, most))
 
     @classmethod
     def in_one_piece(cls, shape: NDArray[np.bool_], profile: Profile) -> Core:
@@ -207,6 +234,19 @@ class Core:
     def shape(self) -> NDArray[np.bool_]:
         """(P, P). Where the picture shows it."""
         return self.form[..., 0] > 0
+
+    def has_layers(self, disc: Disc) -> bool:
+        """Whether what this face shows of the core are layers along its outline."""
+        layer = (depth_in(self.shape)[self.shape] * PIXEL / LAYER).astype(int)
+        colours = disc.rgb[self.shape].astype(np.float64)
+        sums = np.stack([np.bincount(layer, channel) for channel in colours.T], -1)
+        means = (sums / np.maximum(np.bincount(layer), 1)[:, None])[layer]
+        return float(np.square(means - colours.mean(0)).sum()) > LAYERED * float(colours.var(0).sum() * len(colours))
+
+    def inner(self, disc: Disc) -> Disc:
+        """What this face shows of the core, and its usual colour all around."""
+        there = depth_in(self.shape) * PIXEL > HALO
+        return Disc(np.where(there[..., None], disc.rgb, np.median(disc.rgb[self.shape], axis=0)))
 
     def holds(self, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(...). Whether only the horizontal picture is to be shown at places (...), (...) of it and signed distances
@@ -239,17 +279,24 @@ class Core:
             part = np.hypot(off, away / np.maximum(tall, 1e-6))
         deep = np.where(tall > 0, (1 - part) * tall, -1).astype(np.float32)
         moved = (off * (np.minimum(part, 1) / np.hypot(off, AXIS) - 1))[:, None] * way
-        colours = disc.read(x / wide + moved[:, 0], y / wide + moved[:, 1])
+        colours = (self.ground or disc).read(x / wide + moved[:, 0], y / wide + moved[:, 1])
         if self.profile:
-            colours += np.exp(-np.square(away / BESIDE))[:, None] * (disc.read(x, y) - colours)
+            grown = self.profile.grown(away)
+            own = disc.read(x / grown, y / grown)
+            colours += np.exp(-np.square(away / BESIDE))[:, None] * (own - colours)
         return colours, deep
 
+    def reduced(self, n: int) -> Core:
+        """The same core, of a face with pixels n times as large."""
+        return replace(self, ground=self.ground and self.ground.reduced(n))
 
-def _contrast(disc: Disc) -> NDArray[np.floating]:
-    """(P, P). How far a face of even tones stands out from its flesh, over the least that counts; 0 outside of it."""
+
+def _contrast(disc: Disc, where: NDArray[np.bool_] | bool = True) -> NDArray[np.floating]:
+    """(P, P). How far a face stands out from its flesh, which lies `where` (P, P) is true, over the least that counts;
+    0 outside of it."""
     radius = disc_radius()
     rgb = blurred(disc.rgb, 1.0)
-    ring = (radius > 1 - FLESH[1]) & (radius < 1 - FLESH[0])
+    ring = (radius > 1 - FLESH[1]) & (radius < 1 - FLESH[0]) & where
     flesh = np.median(rgb[ring], axis=0)
     apart = lengths(rgb - flesh) * (radius < 1)
     return apart / max(THING_CONTRAST, SPREAD * float(np.median(apart[ring])))
@@ -268,8 +315,7 @@ class Shown:
 
 
 def find_shape(disc: Disc, rind: float) -> NDArray[np.bool_] | None:
-    """(P, P). Where the core is in a horizontal face of even tones with a rind of this depth in radii; None without a
-    core."""
+    """(P, P). Where the core is in a horizontal face with a rind of this depth in radii; None without a core."""
     radius, contrast = disc_radius(), _contrast(disc)
     for thin in JOINS:
         parts, _ = ndimage.label(opened(contrast >= 1, round(thin / PIXEL)))
@@ -280,15 +326,34 @@ def find_shape(disc: Disc, rind: float) -> NDArray[np.bool_] | None:
         return None
     if not found.any():
         return None
-    shape = ndimage.binary_fill_holes(found & (contrast > EDGE * np.quantile(contrast[found], STRONG)))
+    shape = _in_one_piece(contrast, found)
+    if shape is None:
+        shape = ndimage.binary_fill_holes(found & (contrast > EDGE * np.quantile(contrast[found], STRONG)))
     return shape if depth_in(shape).max() * PIXEL >= WIDER * thin else None
+
+
+def _in_one_piece(contrast: NDArray[np.floating], found: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """(P, P). The core, of what was `found` (P, P) around the axis with this contrast (P, P), if all of that is it."""
+    gap = round(GAP / PIXEL)
+
+    def beyond(least: float) -> NDArray[np.bool_]:
+        around = opened(np.pad(~(found & (contrast >= least)), gap, constant_values=True), gap)
+        return np.asarray(ndimage.binary_fill_holes(~around[gap:-gap, gap:-gap]))
+
+    whole = beyond(1)
+    (region,) = regionprops(whole.astype(np.uint8))
+    if region.solidity < WHOLE or beyond(RAISED).sum() < SHARP * whole.sum():
+        return None
+    depth = depth_in(whole) * PIXEL
+    at_edge = contrast[(depth > UNDER[0]) & (depth < UNDER[1])]
+    return beyond(EDGE * float(np.quantile(at_edge, AT_EDGE))) if len(at_edge) else None
 
 
 def stands_out(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
     """(P, P). Where a radial face of even tones stands out as a core does that lies at this height and reaches out to
-    this radius."""
+    this radius. The flesh is that beside the axis: above and below, a core may reach as far as the poles."""
     x, y = disc_grid()
-    contrast = _contrast(disc)
+    contrast = _contrast(disc, np.abs(y) < np.abs(x))
     core = (contrast >= 1) & (np.abs(x) < reach) & (np.abs(y - height) < NEAR)
     return contrast >= max(1.0, EDGE * float(np.median(contrast[core])) if core.any() else 1.0)
 
@@ -323,7 +388,10 @@ def _form(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
     off = 1 - depth / np.maximum(thick, 1e-6)
     way = -np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)
     way *= (thick * PIXEL / np.maximum(np.linalg.norm(way, axis=-1), 0.05))[..., None]
-    return (np.concatenate([np.stack([thick * PIXEL, off], -1), way], -1) * shape[..., None]).astype(np.float32)
+    there = shape[..., None]
+    return np.concatenate(
+        [there * (thick * PIXEL)[..., None], np.where(shape, off, 1)[..., None], there * way], -1
+    ).astype(np.float32)
 
 
 def _thickest(shape: NDArray[np.bool_]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
@@ -338,7 +406,7 @@ def _thickest(shape: NDArray[np.bool_]) -> tuple[NDArray[np.floating], NDArray[n
 
 def _thickness(depth: NDArray[np.floating]) -> NDArray[np.floating]:
     """(H, W). The radius of the largest disc in a shape that holds the pixel, for the depths (H, W) of its pixels
-    (local thickness, Hildebrand and Ruegsegger 1997)."""
+    (local thickness, Hildebrand and Ruegsegger 1997); in corners that of the nearest pixel which one holds."""
     half = int(depth.max()) + 1
     axis = np.arange(-half, half + 1)
     away = np.hypot(axis[:, None], axis)
@@ -346,4 +414,9 @@ def _thickness(depth: NDArray[np.floating]) -> NDArray[np.floating]:
     for i, j in np.argwhere((depth > 0) & (depth >= ndimage.maximum_filter(depth, 3) - 0.5)):
         here = out[i : i + 2 * half + 1, j : j + 2 * half + 1]
         np.maximum(here, np.where(away < depth[i, j], depth[i, j], 0), out=here)
-    return out[half:-half, half:-half]
+    thick = out[half:-half, half:-half]
+    corners = (depth > 0) & (thick == 0)
+    if corners.any():
+        nearest = ndimage.distance_transform_edt(thick == 0, return_distances=False, return_indices=True)
+        thick = np.where(corners, thick[tuple(nearest)], thick)
+    return thick

@@ -135,10 +135,12 @@ def find_core(
 ) -> Core | Column:
     """The core of a horizontal face with a rind of this depth in radii, at a height in the ball, as radial faces with
     rinds of another depth show it. `even` and `along` have even tones."""
-    shape = find_shape(even, rind)
+    # Tones are made even as if there were no core, and a core that is not round is a part of them. So the picture is
+    # looked at as it is, and only if light hides a core there, with even tones.
+    shape = find_shape(disc, rind)
+    shape = find_shape(even, rind) if shape is None else shape
     if shape is None:
         return Core.none()
-    # Tones are made even as if there were no core: a stone that is not round is a part of them at first.
     there = disc_radius() < disc_radius()[shape].max() + MARGIN
     again = find_shape(evened(disc, True, there), rind)
     shape = shape if again is None else again

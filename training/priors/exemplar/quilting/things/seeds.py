@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import regionprops
-from skimage.segmentation import expand_labels
+from skimage.morphology import h_maxima
+from skimage.segmentation import expand_labels, watershed
 
+from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, REACH, Disc, disc_grid, disc_radius, to_pixels
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.things.core import CORE
@@ -44,6 +46,9 @@ row up to 0.80."""
 GROWN = 2
 """Pixels by which a thing grows into the region that it was found in, where its edge is."""
 
+NECK = 1.0
+"""Pixels by which a thing is wider than the neck to the next one that it touches, in half widths."""
+
 EDGE = 0.5
 """Least contrast of a thing's pixels over its median contrast: a half is where a blurred edge is. What is fainter is
 its shadow or what clings to it."""
@@ -65,27 +70,37 @@ class Seeds:
     """(P, P). Where they are, and what stands out together with them."""
 
     @classmethod
-    def of(cls, relief: Relief, is_horizontal: bool, rind: float) -> Seeds:
-        """The seeds of a face with this relief and a rind of this depth in radii."""
+    def of(cls, relief: Relief, is_horizontal: bool, rind: float, core: float = CORE) -> Seeds:
+        """The seeds of a face with this relief and a rind of this depth in radii. What reaches closer to the axis than
+        `core`, in radii, is no seed."""
         x, y = disc_grid()
         radius = disc_radius()
         from_core = np.hypot(x, y * is_horizontal)
         contrast = relief.contrast()
         left, found = contrast, np.zeros(radius.shape, np.int32)
         roots = None
+
+        def is_whole(region) -> bool:  # type: ignore[no-untyped-def]
+            rows = tuple(region.coords.T)
+            return radius[rows].max() < 1 - rind and _is_a_thing(region) and contrast[rows].mean() > SURE
+
         for level in range(LEVELS):
             regions, _ = ndimage.label(opened(left >= RAISED**level))
             roots = regions if roots is None else roots
             left = left.copy()
             for region in regionprops(regions):
                 rows = tuple(region.coords.T)
-                if from_core[rows].min() < CORE and not level:
+                if from_core[rows].min() < core and not level:
                     left[rows] = 0
-                elif radius[rows].max() < 1 - rind and _is_a_thing(region) and contrast[rows].mean() > SURE:
+                elif is_whole(region):
                     left[rows] = 0
-                    if _from_core(region, is_horizontal) > CORE:
+                    if _from_core(region, is_horizontal) > core:
                         found[rows] = found.max() + 1
         assert roots is not None
+        together = (left >= 1) & (roots > 0) & ~np.isin(roots, roots[found > 0])
+        for region in regionprops(_parted(np.where(together, roots, 0), contrast)):
+            if is_whole(region) and _from_core(region, is_horizontal) > core:
+                found[tuple(region.coords.T)] = found.max() + 1
         under_rind = np.setdiff1d(roots[found > 0], roots[radius > 1 - rind])
         together = np.isin(roots, under_rind) | (found > 0)
         found = _trimmed(np.where(roots > 0, expand_labels(found, GROWN), 0), contrast)
@@ -102,18 +117,47 @@ class Seeds:
         nothing = np.zeros((DISC_PIXELS, DISC_PIXELS), np.int32)
         return cls(nothing, pairs, pairs, np.empty(0), nothing > 0)
 
-    def outside(self, region: NDArray[np.bool_]) -> Seeds:
-        """Those whose middles do not lie in a region (P, P)."""
+    def within(self, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(B,). Whether their middles lie in a region (P, P)."""
         rows = tuple(np.round(to_pixels(self.places.T[0], self.places.T[1], DISC_PIXELS)).astype(int))
-        kept = ~region[rows]
+        return np.asarray(region[rows])
+
+    def chosen(self, kept: NDArray[np.bool_]) -> Seeds:
+        """Some of them (B,)."""
         if kept.all():
             return self
         numbers = np.concatenate([[0], np.where(kept, np.cumsum(kept), 0)]).astype(np.int32)
         return Seeds(numbers[self.parts], self.places[kept], self.axes[kept], self.turns[kept], self.regions)
 
+    def and_also(self, others: Seeds) -> Seeds:
+        """These and others of the same picture, elsewhere in it."""
+        places, axes, turns = (
+            np.concatenate([getattr(self, name), getattr(others, name)]) for name in ("places", "axes", "turns")
+        )
+        parts = np.where(others.parts > 0, others.parts + np.int32(len(self.places)), self.parts)
+        return Seeds(parts, places, axes, turns, self.regions | others.regions)
+
     def things(self, disc: Disc) -> Things:
         """The seeds as the disc, which is this face in some light, shows them."""
         return Things.of(disc, self.places, self.axes, self.turns, self.parts)
+
+
+def _parted(regions: NDArray[np.int32], contrast: NDArray[np.floating]) -> NDArray[np.int32]:
+    """(P, P). The numbered regions (P, P) of things, without what is faint in them, parted at their necks: things of
+    one colour that touch are one region at every contrast."""
+    out = np.zeros(regions.shape, np.int32)
+    for n, box in enumerate(ndimage.find_objects(regions)):
+        if box is None:
+            continue
+        here = regions[box] == n + 1
+        usual = np.median(contrast[box][here])
+        if usual > SURE:
+            sure = np.pad(here & (contrast[box] > EDGE * usual), 1)
+            depth = depth_in(sure)
+            tops, _ = ndimage.label(h_maxima(depth, NECK))
+            parts = watershed(-depth, tops, mask=sure)[1:-1, 1:-1]
+            out[box] = np.where(parts > 0, parts + out.max(), out[box])
+    return out
 
 
 def _trimmed(parts: NDArray[np.int32], contrast: NDArray[np.floating]) -> NDArray[np.int32]:
