@@ -50,7 +50,7 @@ def pips(wide: float = 0.05) -> NDArray[np.bool_]:
 def found_in(disc: Disc, *radial: Disc) -> Core | Column:
     """The core of a horizontal picture, with what radial ones show of it."""
     rinds = [rind_of(disc, True)[0], max((rind_of(one, False)[0] for one in radial), default=0.0)]
-    return find_core(disc, even_around(disc), rinds[0], [even_sides(one) for one in radial], rinds[1], 0.0)
+    return find_core(disc, even_around(disc), rinds[0], radial, rinds[1], 0.0)
 
 
 def core_of(disc: Disc, *radial: Disc) -> Core:

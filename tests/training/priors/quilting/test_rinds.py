@@ -96,6 +96,16 @@ def test_at_every_height_horizontal_pictures_have_the_rind_of_radial_ones() -> N
         assert is_rind(even.read(*ball.level.T)).sum() * 0.001 == pytest.approx(wanted, abs=0.012)
 
 
+def test_a_thick_rind_is_as_thick_near_the_poles() -> None:
+    thick = drawn(0.25, 0.25)
+    rinds = Rinds.of([thick], [thick], 0.0, 1)
+    depth = np.arange(0, 0.4, 0.001)
+    for up in np.radians([-70, -50, 25, 65]):
+        direction = np.array([0, np.cos(up), np.sin(up)])
+        ball = Ball.of(((1 - depth)[:, None] * direction).astype(np.float32), rinds)
+        assert is_rind(thick.read(*ball.level.T)).sum() * 0.001 == pytest.approx(0.25, abs=0.012)
+
+
 def test_between_planes_a_rind_has_no_step(rinds: Rinds) -> None:
     """Far from all planes it has the depth common to the pictures."""
     turn = np.linspace(0, 2 * np.pi, 721)

@@ -125,8 +125,8 @@ class Quilt:
         self, points: NDArray[np.float32], beside: Beside, film: float
     ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """(M, 2) and (M,). As `nearest`, for points (M, 3) that lie so beside own planes."""
-        cell = 2 / LEVELS[-1]
-        at = _in_cells(beside.beyond_films(points, film, cell), LEVELS[-1])
+        cell = 2 / self.size
+        at = _in_cells(beside.beyond_films(points, film, cell), self.size)
         best, shares = two_nearest(self.chosen, self.number, at, len(self.labels))
         apart = shares[:, 0] - shares[:, 1]
         beside.share_crossing(best, apart, cell)
@@ -167,7 +167,7 @@ class Quilt:
 
     def ends(self, film: float) -> float:
         """Radii. Distance from an own plane at which a `film` ends."""
-        return half_film(film, 2 / LEVELS[-1])
+        return half_film(film, 2 / self.size)
 
     def _shown(
         self, label: Label, points: NDArray[np.float32], tones: NDArray[np.float32], film: float
@@ -184,7 +184,7 @@ class Quilt:
 
     def _tones(self, points: NDArray[np.float32], beside: Beside) -> NDArray[np.float32]:
         """(M, 3). The tones around points (M, 3) that lie so beside own planes."""
-        tones = read_trilinear(self.tones, _in_cells(points, LEVELS[-1]))
+        tones = read_trilinear(self.tones, _in_cells(points, self.size))
         for number, far in zip(beside.numbers, beside.far, strict=True):
             label, rows = self.labels[number], np.flatnonzero(np.abs(far) < OWN_REACH)
             ball = self.ball(points[rows])
@@ -192,6 +192,11 @@ class Quilt:
             alone = np.exp(-np.square(far[rows] / OWN_ALONE))[:, None]
             tones[rows] += alone * (there - tones[rows])
         return tones
+
+    @property
+    def size(self) -> int:
+        """Cells of the finest grid across the ball."""
+        return len(self.number) - 2 * MARGIN
 
     @cached_property
     def is_layered(self) -> bool:

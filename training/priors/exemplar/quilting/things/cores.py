@@ -121,20 +121,20 @@ def find_cores(
 ) -> tuple[list[Core | Column], list[Core | Column]]:
     """The cores of horizontal pictures, and of radial ones what they show of the first one's, which is at a height in
     the ball."""
-    faces = [source.even for source in along]
+    faces = [source.disc for source in along]
     rind = max((source.rind for source in along), default=0.0)
     cores = [find_core(source.disc, source.even, source.rind, faces, rind, height) for source in across]
     first = cores[0]
     if isinstance(first, Column):
         return cores, [first.along(source.bare.even) for source in along]  # its seeds are laid apart
-    return cores, [Core.along(face, first, height) for face in faces]
+    return cores, [Core.along(face, first, height) for face in _evened_beside(faces, first.reach)]
 
 
 def find_core(
     disc: Disc, even: Disc, rind: float, along: Sequence[Disc], rind_along: float, height: float
 ) -> Core | Column:
     """The core of a horizontal face with a rind of this depth in radii, at a height in the ball, as radial faces with
-    rinds of another depth show it. `even` and `along` have even tones."""
+    rinds of another depth show it. `even` is the horizontal one with even tones."""
     # Tones are made even as if there were no core, and a core that is not round is a part of them. So the picture is
     # looked at as it is, and only if light hides a core there, with even tones.
     shape = find_shape(disc, rind)
@@ -145,12 +145,19 @@ def find_core(
     again = find_shape(evened(disc, True, there), rind)
     shape = shape if again is None else again
     reach = float(disc_radius()[shape].max()) + MARGIN
-    seen = [shown for one in along if (shown := seen_along(one, reach, height))]
+    faces = _evened_beside(along, reach)
+    seen = [shown for one in faces if (shown := seen_along(one, reach, height))]
     if sum(shown.is_column for shown in seen) > len(seen) / 2:
-        return Column.across(disc, shape, along, rind_along, height)
-    if seen and (profile := _profile(shape, along, reach, height)):
+        return Column.across(disc, shape, faces, rind_along, height)
+    if seen and (profile := _profile(shape, faces, reach, height)):
         return Core.in_one_piece(shape, profile)
     return Core.across(shape, seen)
+
+
+def _evened_beside(along: Sequence[Disc], reach: float) -> list[Disc]:
+    """Radial faces with even tones, which a core that reaches out to this radius does not affect."""
+    there = np.abs(disc_grid()[0]) < reach
+    return [evened(one, False, there) for one in along]
 
 
 def _profile(shape: NDArray[np.bool_], along: Sequence[Disc], reach: float, height: float) -> Profile | None:
@@ -168,9 +175,9 @@ def _profile(shape: NDArray[np.bool_], along: Sequence[Disc], reach: float, heig
 def show_core_that_ends(across: Sequence[Disc], along: Sequence[Disc], height: float) -> bool:
     """Whether the first horizontal face shows a core, at a height in the ball, that ends in radial ones: a quilt lays
     it as one solid."""
-    disc, faces = across[0], [evened(one, False) for one in along]
+    disc = across[0]
     rind, rind_along = rind_of(disc, True)[0], max((rind_of(one, False)[0] for one in along), default=0.0)
-    core = find_core(disc, evened(disc, True), rind, faces, rind_along, height)
+    core = find_core(disc, evened(disc, True), rind, along, rind_along, height)
     if isinstance(core, Column) or not core.reach:
         return False
     return not any(made_of_grains(one, one is disc) for one in [disc, *along])
