@@ -12,7 +12,7 @@ from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
-from training.priors.exemplar.quilting.things.core import COMPACT, Core, find_shape
+from training.priors.exemplar.quilting.things.core import COMPACT, Core, Profile, find_shape
 
 Solid = Callable[[NDArray[np.floating], int], NDArray[np.floating]]
 """Colours (..., 3) at points (..., 3) of the unit ball, of the individual of a number."""
@@ -120,6 +120,26 @@ def test_a_large_core_that_is_not_round_is_one_solid() -> None:
     length = np.linalg.norm(points - [0.12, -0.06, 0.03], axis=1)
     assert is_yolk[length < 0.42].mean() > 0.99
     assert is_yolk[length > 0.66].mean() < 0.01
+
+
+def test_a_core_beside_the_axis_is_an_ellipsoid_around_its_own_middle() -> None:
+    """In all of its cuts, in two of which its colours are looked at: rings around it, as many as in its picture."""
+    x, y = disc_grid()
+    middle, (a, b), tall = (0.12, -0.07), (0.3, 0.22), 0.4
+    size = np.hypot((x - middle[0]) / a, (y - middle[1]) / b)
+    rings = Disc(np.repeat((0.5 + 0.5 * np.sin(6 * size))[..., None], 3, -1).astype(np.float32))
+    level = disc_grid()[1][0]
+    core = Core.in_one_piece(size < 1, Profile.of(np.sqrt(np.maximum(1 - np.square(level / tall), 0)), 0.0, 1.5))
+    for rise in (0.0, 0.15, 0.25, 0.35):
+        rgb, deep = core.read(rings, x.ravel(), y.ravel(), np.full(x.size, rise))
+        inside = deep.reshape(x.shape) > 0
+        width = np.sqrt(1 - (rise / tall) ** 2)
+        assert inside.sum() == pytest.approx((size < width).sum(), rel=0.04)
+        assert (x[inside].mean(), y[inside].mean()) == pytest.approx(middle, abs=0.004)
+        if rise > 0.2:
+            wanted = 0.5 + 0.5 * np.sin(6 * np.hypot(size, rise / tall))
+            at = inside & (size > 0.3)  # closer to the middle directions fade
+            assert np.abs(rgb[:, 0].reshape(x.shape) - wanted)[at].mean() < 0.05
 
 
 def test_a_layer_around_a_stone_is_no_row_of_seeds() -> None:

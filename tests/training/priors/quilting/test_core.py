@@ -80,7 +80,7 @@ def test_a_core_is_as_tall_as_its_area_is_wide_or_as_radial_pictures_show_it() -
     disc = face(np.hypot(x, y) < half)
     alone = core_of(disc)
     assert alone.reach == pytest.approx(half + MARGIN, abs=0.01)
-    assert alone.tall == pytest.approx((half, half), rel=0.05)
+    assert alone.ends == pytest.approx((half, half), rel=0.05)
     for tall, size in ((0.06, 1.0), (0.12, 1.0), (0.12, 0.7)):
         shown = face(np.hypot(x / half, y / tall) < size)
         assert core_of(disc, shown).ends == pytest.approx((size * tall,) * 2, abs=0.015)
@@ -163,7 +163,7 @@ def test_a_stone_that_radial_pictures_show_beside_the_axis_alone_is_as_tall_as_w
     assert core.reach == pytest.approx(half + MARGIN, abs=0.01)
     assert max(core.ends) < 0.25  # and it is not the rind at the poles
     speck = face(np.hypot(x, y) < 0.02)  # which shows no stone
-    assert core_of(face(np.hypot(x, y) < half), speck).tall == pytest.approx((half, half), rel=0.05)
+    assert core_of(face(np.hypot(x, y) < half), speck).ends == pytest.approx((half, half), rel=0.05)
 
 
 def test_what_lies_around_a_core_within_its_reach_is_not_laid_elsewhere_as_a_seed() -> None:

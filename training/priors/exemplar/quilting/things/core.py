@@ -26,6 +26,7 @@ from training.priors.exemplar.quilting.disc import (
     to_pixels,
 )
 from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST
+from training.priors.exemplar.quilting.things.forms import form_around, form_of, thickest
 from training.priors.exemplar.rind import FLESH
 from training.priors.exemplar.sampling import blurred, lengths, opened, read_bilinear
 
@@ -165,9 +166,9 @@ class Core:
     region: NDArray[np.bool_]
     """(P, P). Where the core is in the picture, and what lies between its parts."""
     form: NDArray[np.float32]
-    """(P, P, 4). The half height of the solid's ridge at each pixel, over the largest, 0 outside of the core, or with a
-    profile its half width in radii; the distance of the pixel from the ridge, over that of the edge; and the vector
-    from the ridge to the edge, in radii."""
+    """(P, P, 4). The half height of the solid's ridge at each pixel, over the largest, 0 outside of the core; the
+    distance of the pixel from the ridge, over that of the edge; and the vector from the ridge to the edge, in radii. A
+    horizontal core in one piece has its middle for a ridge, and the length of that vector for a height."""
     tall: tuple[float, float]
     """Largest half height in radii on either side of the plane, negative distances first; both 0 with a profile, and
     without a core."""
@@ -177,7 +178,9 @@ class Core:
     reach: float
     """How far it reaches from the axis, in radii; 0 without a core."""
     profile: Profile | None = None
-    """That of a core in one piece, if radial pictures show it."""
+    """That of a core in one piece, if radial pictures show it; of a ball without them."""
+    middle: tuple[float, float] = (0.0, 0.0)
+    """That of a horizontal core in one piece, around which it is larger or smaller beside its picture's plane."""
     ground: Disc | None = None
     """What a core in one piece shows away from its picture's plane if things lie in it: the face without these."""
 
@@ -200,7 +203,7 @@ class Core:
             under = over = tall = float(np.sqrt(shape.sum() / np.pi)) * PIXEL
         # Two fruits do not have their cores at the same height, so it goes half way to where radial pictures show it.
         below, above = (under + tall) / 2, (over + tall) / 2
-        form = _form(shape)
+        form = form_of(shape)
         ridge = np.stack(disc_grid(), -1) - form[..., 1:2] * form[..., 2:]
         form[..., 0] = shape * np.maximum(1 - np.square(ridge / reach).sum(-1), 0)
         return cls(radius < reach, form, (below, above), (max(under, below), max(over, above)), reach)
@@ -218,8 +221,8 @@ class Core:
             shape = ndimage.binary_fill_holes(shape)
         if not shape.any():
             return cls.none()
-        form = _form(shape)
-        form[..., 0] = np.minimum(form[..., 0], np.interp(np.abs(x), *_thickest(core.shape)))
+        form = form_of(shape)
+        form[..., 0] = np.minimum(form[..., 0], np.interp(np.abs(x), *thickest(core.shape)))
         most = float(form[..., 0].max())
         form[..., 0] /= most
         return replace(core, region=shape, form=form, tall=(most, most))
@@ -228,7 +231,10 @@ class Core:
     def in_one_piece(cls, shape: NDArray[np.bool_], profile: Profile) -> Core:
         """The core of this shape (P, P) in a horizontal face, as wide at every height as radial faces show it."""
         reach = float(disc_radius()[shape].max()) + MARGIN
-        return cls(disc_radius() < reach, _form(shape), (0.0, 0.0), profile.reach, reach, profile)
+        x, y = disc_grid()
+        middle = float(x[shape].mean()), float(y[shape].mean())
+        form = form_around(shape, *middle)
+        return cls(disc_radius() < reach, form, (0.0, 0.0), profile.reach, reach, profile, middle)
 
     @property
     def shape(self) -> NDArray[np.bool_]:
@@ -269,7 +275,8 @@ class Core:
         """(M, 3) and (M,). Colours of the core of this face at places (M,), (M,) of it and distances (M,) from its
         plane, and how deep in the core they are, in radii; negative outside. Equal depths have one colour."""
         wide = np.float32(self.profile.widest if self.profile else 1)
-        rows, columns = (np.asarray(at, np.float32) for at in to_pixels(x / wide, y / wide, DISC_PIXELS))
+        u, v = self._scaled(x, y, wide)
+        rows, columns = (np.asarray(at, np.float32) for at in to_pixels(u, v, DISC_PIXELS))
         form = read_bilinear(self.form, rows, columns)
         off, way = form[:, 1], form[:, 2:]
         if self.profile:
@@ -279,12 +286,18 @@ class Core:
             part = np.hypot(off, away / np.maximum(tall, 1e-6))
         deep = np.where(tall > 0, (1 - part) * tall, -1).astype(np.float32)
         moved = (off * (np.minimum(part, 1) / np.hypot(off, AXIS) - 1))[:, None] * way
-        colours = (self.ground or disc).read(x / wide + moved[:, 0], y / wide + moved[:, 1])
+        colours = (self.ground or disc).read(u + moved[:, 0], v + moved[:, 1])
         if self.profile:
-            grown = self.profile.grown(away)
-            own = disc.read(x / grown, y / grown)
+            own = disc.read(*self._scaled(x, y, self.profile.grown(away)))
             colours += np.exp(-np.square(away / BESIDE))[:, None] * (own - colours)
         return colours, deep
+
+    def _scaled(
+        self, x: NDArray[np.floating], y: NDArray[np.floating], wide: NDArray[np.floating] | np.floating
+    ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Places (M,), (M,) of the picture, as many times as close to the middle as the core is `wide`."""
+        u, v = self.middle
+        return u + (x - u) / wide, v + (y - v) / wide
 
     def reduced(self, n: int) -> Core:
         """The same core, of a face with pixels n times as large."""
@@ -379,44 +392,3 @@ def seen_along(disc: Disc, reach: float, height: float) -> Shown | None:
     is_column = over - under > 2 * COLUMN * wide
     under, over = ends(HALF)
     return Shown(max(height - under, MARGIN), max(over - height, MARGIN), wide, is_column)
-
-
-def _form(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(P, P, 4). The form of a solid over a shape (P, P) that is as tall as it is wide, with half heights in radii."""
-    depth = depth_in(shape)
-    thick = _thickness(depth)
-    off = 1 - depth / np.maximum(thick, 1e-6)
-    way = -np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)
-    way *= (thick * PIXEL / np.maximum(np.linalg.norm(way, axis=-1), 0.05))[..., None]
-    there = shape[..., None]
-    return np.concatenate(
-        [there * (thick * PIXEL)[..., None], np.where(shape, off, 1)[..., None], there * way], -1
-    ).astype(np.float32)
-
-
-def _thickest(shape: NDArray[np.bool_]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Distances from the middle of a horizontal face at which it shows a shape (P, P), rising, and how thick that is at
-    most there, in radii."""
-    ring = (disc_radius()[shape] / PIXEL).astype(int)
-    thick = np.zeros(ring.max() + 1)
-    np.maximum.at(thick, ring, _thickness(depth_in(shape))[shape] * PIXEL)
-    shown = np.flatnonzero(thick)
-    return (shown + 0.5) * PIXEL, thick[shown]
-
-
-def _thickness(depth: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(H, W). The radius of the largest disc in a shape that holds the pixel, for the depths (H, W) of its pixels
-    (local thickness, Hildebrand and Ruegsegger 1997); in corners that of the nearest pixel which one holds."""
-    half = int(depth.max()) + 1
-    axis = np.arange(-half, half + 1)
-    away = np.hypot(axis[:, None], axis)
-    out = np.pad(np.zeros_like(depth), half)
-    for i, j in np.argwhere((depth > 0) & (depth >= ndimage.maximum_filter(depth, 3) - 0.5)):
-        here = out[i : i + 2 * half + 1, j : j + 2 * half + 1]
-        np.maximum(here, np.where(away < depth[i, j], depth[i, j], 0), out=here)
-    thick = out[half:-half, half:-half]
-    corners = (depth > 0) & (thick == 0)
-    if corners.any():
-        nearest = ndimage.distance_transform_edt(thick == 0, return_distances=False, return_indices=True)
-        thick = np.where(corners, thick[tuple(nearest)], thick)
-    return thick

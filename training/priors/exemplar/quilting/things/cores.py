@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from skimage.measure import regionprops
 
 from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball, OwnHeight
-from training.priors.exemplar.quilting.disc import Disc, disc_grid, disc_radius, evened
+from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, disc_radius, evened
 from training.priors.exemplar.quilting.labels import Label, Source, made_of_grains
 from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.rinds import rind_of
@@ -149,9 +149,8 @@ def find_core(
     seen = [shown for one in faces if (shown := seen_along(one, reach, height))]
     if sum(shown.is_column for shown in seen) > len(seen) / 2:
         return Column.across(disc, shape, faces, rind_along, height)
-    if seen and (profile := _profile(shape, faces, reach, height)):
-        return Core.in_one_piece(shape, profile)
-    return Core.across(shape, seen)
+    profile = _profile(shape, faces if seen else [], reach, height)
+    return Core.in_one_piece(shape, profile) if profile else Core.across(shape, seen)
 
 
 def _evened_beside(along: Sequence[Disc], reach: float) -> list[Disc]:
@@ -161,13 +160,16 @@ def _evened_beside(along: Sequence[Disc], reach: float) -> list[Disc]:
 
 
 def _profile(shape: NDArray[np.bool_], along: Sequence[Disc], reach: float, height: float) -> Profile | None:
-    """The profile of a core of this shape (P, P), which reaches out to this radius at this height; None if its parts
-    end each by themselves, or if no radial face shows it around the axis near that height."""
+    """The profile of a core of this shape (P, P), which reaches out to this radius at this height: that of a ball
+    without radial faces. None if its parts end each by themselves, or if no radial face shows it around the axis near
+    that height."""
     (whole,) = regionprops(shape.astype(np.uint8))
     if whole.solidity < COMPACT:
         return None
-    wide = widths_along(along, reach, height)
-    if not wide[np.abs(disc_grid()[1][0] - height) < NEAR].any():
+    away = np.abs(disc_grid()[1][0] - height)
+    ball = np.sqrt(np.maximum(shape.sum() * PIXEL**2 / np.pi - np.square(away), 0))
+    wide = widths_along(along, reach, height) if along else ball
+    if not wide[away < NEAR].any():
         return None
     return Profile.of(wide, height, MOST)
 
