@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sized
 from dataclasses import dataclass
+from enum import Enum
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +24,7 @@ from training.priors.exemplar.sampling import read_as_scipy, smoothstep
 __all__ = [
     "Ball",
     "Chunks",
+    "Depths",
     "OwnAzimuths",
     "OwnHeight",
     "Places",
@@ -81,6 +83,17 @@ GOLDEN_ANGLE = 2.399
 """Turn in radians from one slab of a set to the next, so that no earlier turn repeats."""
 
 
+class Depths(Enum):
+    """Where a horizontal picture shows what lies deep inside, at another height."""
+
+    SHARED = 0
+    """At the same share of the radius, as seeds and cores are."""
+    KEPT = 1
+    """As deep under the skin: its colours go by that."""
+    LAYERED = 2
+    """As deep, and it is rind all through: it has layers along the skin."""
+
+
 @dataclass(frozen=True)
 class Ball:
     """Points in the unit ball with what chunks need of them; all float32."""
@@ -100,8 +113,8 @@ class Ball:
     radius further inside."""
 
     @classmethod
-    def of(cls, points: NDArray[np.float32], rinds: Rinds | None = None, is_layered: bool = False) -> Ball:
-        """For points (M, 3) in a quilt with these `rinds`. A ball that `is_layered` is rind all through."""
+    def of(cls, points: NDArray[np.float32], rinds: Rinds | None = None, depths: Depths = Depths.SHARED) -> Ball:
+        """For points (M, 3) in a quilt with these `rinds`."""
         x, y, z = points.T
         radius = np.hypot(x, y)
         length = np.sqrt(x * x + y * y + z * z)
@@ -110,9 +123,11 @@ class Ball:
         depth = 1 - length
         deep = smoothstep((depth - np.maximum(SHARED[0], thick)) / (SHARED[1] - SHARED[0]))
         under = smoothstep((depth / np.maximum(thick / THICK, 1) - RIND[0]) / (RIND[1] - RIND[0]))
-        if is_layered:
-            deep, under = np.zeros_like(deep), np.zeros_like(under)
         skin = length if rinds is None else rinds.in_horizontal(length, thick)
+        if rinds is not None and depths is not Depths.SHARED:
+            deep, skin = np.zeros_like(deep), rinds.as_deep(skin)
+        if depths is Depths.LAYERED:
+            under = np.zeros_like(under)
         level = (skin * (1 - deep) + share * deep) / np.maximum(radius, 1e-4)
         rind = 1 - under
         angle = np.arctan2(y, x)

@@ -10,19 +10,21 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.threads import side_by_side
-from training.priors.exemplar.quilting.chunks import Ball, Chunks, Places, Rows
+from training.priors.exemplar.quilting.chunks import Ball, Chunks, Depths, Places, Rows
 from training.priors.exemplar.quilting.disc import (
     RIND_RADIUS,
     Disc,
+    disc_grid,
     disc_radius,
     evened,
     filled_in,
     read_map,
+    ring_medians,
     smooth_disc,
 )
 from training.priors.exemplar.quilting.persistence import Persistence, find_membranes
 from training.priors.exemplar.quilting.relief import BLEND, Relief
-from training.priors.exemplar.quilting.rinds import goes_inwards, rind_of
+from training.priors.exemplar.quilting.rinds import Rinds, goes_inwards, rind_of
 from training.priors.exemplar.quilting.texture import FINE, WIDTH, Parts, take_apart
 from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import Core
@@ -35,6 +37,7 @@ __all__ = [
     "Label",
     "Source",
     "blended_tones",
+    "depths_of",
     "distance_across",
     "grains_of",
     "made_of_grains",
@@ -60,6 +63,16 @@ OWN_WEIGHT = 4.0
 OWN_TONES = 0.1
 """Distance in radii over which a picture's own tones blend into even ones: away from its plane, and within it where
 another picture's plane crosses, as both are seen there."""
+
+
+RINGS, SPARSE, MIDDLE = 60, 6, 0.15
+"""Rings of a horizontal picture whose tones are compared with a radial one, at every so many pixels of that, outside of
+this radius."""
+
+CLEARLY = 0.7
+"""Largest distance of colours that a horizontal picture has at equal depths from what a radial one shows, over that of
+those it has at equal shares of the radius, to go by depth. Of six pairs of photographs, for which neither is better,
+0.81 to 1.10; of drawn melons, papayas, figs and geodes 0.20 to 0.43, of a kiwi 1.29."""
 
 
 @dataclass(frozen=True)
@@ -238,6 +251,30 @@ def grains_of(disc: Disc, is_horizontal: bool) -> Grains:
 def made_of_grains(disc: Disc, is_horizontal: bool) -> bool:
     """Whether a picture shows things that lie close together all over."""
     return len(grains_of(disc, is_horizontal).radii) > 0
+
+
+def depths_of(across: list[Source], along: list[Source], rinds: Rinds) -> Depths:
+    """Where horizontal pictures show what lies at other heights than theirs: what radial ones show there tells."""
+    if all(source.is_layered for source in [*across, *along]):
+        return Depths.LAYERED
+    if not across or not along:
+        return Depths.SHARED
+    x, y = (places[::SPARSE, ::SPARSE].ravel() for places in disc_grid())
+    there = (np.hypot(x, y) < 1 - BLUR) & (np.hypot(x, y) > max(across[0].core.reach, MIDDLE) + BLUR)
+    x, y = x[there], y[there]
+    points = np.stack([np.abs(x), np.zeros_like(x), y], -1).astype(np.float32)
+    shared, kept = (np.hypot(*Ball.of(points, rinds, depths).level.T) for depths in (Depths.SHARED, Depths.KEPT))
+    differ = np.abs(kept - shared) > TONE
+    if not differ.any():
+        return Depths.SHARED
+    rings = ring_medians(across[0].tones, RINGS)
+    shown = np.mean([source.tones.read(x, y) for source in along], axis=0)
+
+    def unlike(level: NDArray[np.floating]) -> float:
+        at = [np.interp(level, (np.arange(RINGS) + 0.5) / RINGS, channel) for channel in rings.T]
+        return float(np.square(np.stack(at, -1) - shown)[differ].sum())
+
+    return Depths.KEPT if unlike(kept) < CLEARLY**2 * unlike(shared) else Depths.SHARED
 
 
 @dataclass(frozen=True)

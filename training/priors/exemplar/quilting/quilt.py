@@ -10,7 +10,7 @@ pictures as solids (`relief`); their texture comes from thin layers (`texture`).
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +24,7 @@ from training.priors.exemplar.quilting.chunks import (
     SECTOR_SETS,
     SLABS,
     Ball,
+    Depths,
     OwnAzimuths,
     OwnHeight,
     Places,
@@ -37,7 +38,7 @@ from training.priors.exemplar.quilting.disc import (
     match_light,
 )
 from training.priors.exemplar.quilting.films import Beside, half_film
-from training.priors.exemplar.quilting.labels import Label, Source, blended_tones, distance_across, grains_of
+from training.priors.exemplar.quilting.labels import Label, Source, blended_tones, depths_of, distance_across, grains_of
 from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
@@ -94,6 +95,7 @@ class Quilt:
     """The inside as a function on the unit ball."""
 
     rinds: Rinds
+    depths: Depths
     labels: list[Label]
     number: NDArray[np.int32]
     """(X, Y, Z). Row of each cell of the finest grid, -1 outside."""
@@ -198,14 +200,9 @@ class Quilt:
         """Cells of the finest grid across the ball."""
         return len(self.number) - 2 * MARGIN
 
-    @cached_property
-    def is_layered(self) -> bool:
-        """Whether all pictures show layers along the skin that go all the way in."""
-        return _are_layered(source for label in self.labels for source in label.sources)
-
     def ball(self, points: NDArray[np.float32]) -> Ball:
         """Points (M, 3) of the quilt with what its chunks need of them."""
-        return Ball.of(points, self.rinds, self.is_layered)
+        return Ball.of(points, self.rinds, self.depths)
 
     @cached_property
     def cores(self) -> Cores | None:
@@ -229,13 +226,13 @@ def make_quilt(
     unit ball. Bit-equal for a seed."""
     rinds, across, along = _make_sources(horizontal, radial, height)
     labels = _make_labels(across, along, height, seed)
-    is_layered = _are_layered([*across, *along])
+    depths = depths_of(across, along, rinds)
     chosen = number = None
     for step, size in enumerate(LEVELS):
         progress(step / len(LEVELS))
         coarse, before = number, chosen
         number, cells, points = _grid(size)
-        ball = Ball.of(points, rinds, is_layered)
+        ball = Ball.of(points, rinds, depths)
         at_cells = weigh_labels(labels, along, ball, 2 / size, seed)
         if coarse is None or before is None:
             chosen = at_cells.costs.argmin(1).astype(np.int32)
@@ -247,7 +244,7 @@ def make_quilt(
     assert number is not None and chosen is not None
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
-    return _assembled(rinds, labels, across, along, seed, number, chosen, ball, at_cells.places)
+    return _assembled(rinds, depths, labels, across, along, seed, number, chosen, ball, at_cells.places)
 
 
 def restore_quilt(
@@ -262,13 +259,10 @@ def restore_quilt(
     labels = _make_labels(across, along, height, seed)
     if not 0 <= chosen.min() <= chosen.max() < len(labels):
         raise ValueError("a label that no picture has")
-    ball = Ball.of(points, rinds, _are_layered([*across, *along]))
+    depths = depths_of(across, along, rinds)
+    ball = Ball.of(points, rinds, depths)
     places = side_by_side(lambda label: label.chunks.places(ball), labels)
-    return _assembled(rinds, labels, across, along, seed, number, chosen, ball, places)
-
-
-def _are_layered(sources: Iterable[Source]) -> bool:
-    return all(source.is_layered for source in sources)
+    return _assembled(rinds, depths, labels, across, along, seed, number, chosen, ball, places)
 
 
 def _make_sources(
@@ -320,6 +314,7 @@ def _with_cores(across: list[Source], along: list[Source], height: float) -> tup
 
 def _assembled(
     rinds: Rinds,
+    depths: Depths,
     labels: list[Label],
     across: list[Source],
     along: list[Source],
@@ -336,7 +331,7 @@ def _assembled(
         if sources
     }
     tones = blended_tones(labels, ball, number, LEVELS[-1], chosen, places)
-    ground = Quilt(rinds, labels, number, chosen, textures, tones, None, None)
+    ground = Quilt(rinds, depths, labels, number, chosen, textures, tones, None, None)
     planes = [label for label in labels if label.is_own]
     seeds = _packed(ground, planes, across, along, seed)
     return replace(ground, seeds=seeds, grains=_tessellated(ground, planes, across, along, seed))

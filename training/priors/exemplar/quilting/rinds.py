@@ -104,6 +104,8 @@ class Rinds:
     """Depth of the quilt's rind at the height of the first horizontal picture, and of all horizontal ones in it."""
     usual: NDArray[np.float64]
     """(ANGLES,). Depth of the quilt's rind by direction in a radial picture, the same on both sides."""
+    height: float
+    """Height of the first horizontal picture in the ball."""
     ball: NDArray[np.float64]
     """(2, LATITUDES + 1, LONGITUDES + 1). Depth of the rind in each direction, in the ball and in the quilt."""
 
@@ -136,7 +138,7 @@ class Rinds:
         for away, depths in seen:
             weight = 1 / np.maximum(away, 1e-3) ** 2
             total, weights = total + weight * depths, weights + weight
-        return cls(across, along, level, usual, np.stack([total / weights, in_quilt]))
+        return cls(across, along, level, usual, height, np.stack([total / weights, in_quilt]))
 
     def even(self, disc: Disc, depths: NDArray[np.float64], is_horizontal: bool) -> Disc:
         """The picture, whose rind has these depths (ANGLES,), with the common rind."""
@@ -155,6 +157,11 @@ class Rinds:
         """(M,). Distances from the middle at which horizontal pictures, whose rind is as thick as at their height, show
         what lies at distances (M,) where the quilt's rind is as thick as (M,)."""
         return 1 - _moved(1 - length, rind, np.full(len(length), self.level))
+
+    def as_deep(self, length: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(M,). Distances from the middle of a horizontal picture at which it shows what lies at distances (M,) from
+        that of the ball, at its own height."""
+        return np.sqrt(np.maximum(np.square(length) - self.height**2, 0) / (1 - self.height**2))
 
     def evened(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Points (M, 3) of the ball, moved to their places in the quilt."""
