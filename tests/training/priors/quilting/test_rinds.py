@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from training.priors.exemplar.quilting.chunks import Ball
+from training.priors.exemplar.quilting.chunks import Ball, Depths
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
+from training.priors.exemplar.quilting.labels import Source, depths_of
 from training.priors.exemplar.quilting.rinds import ANGLES, Rinds
 
 FLESH, RIND = np.array([0.9, 0.3, 0.3]), np.array([0.8, 0.9, 0.5])
@@ -104,6 +105,29 @@ def test_a_thick_rind_is_as_thick_near_the_poles() -> None:
         direction = np.array([0, np.cos(up), np.sin(up)])
         ball = Ball.of(((1 - depth)[:, None] * direction).astype(np.float32), rinds)
         assert is_rind(thick.read(*ball.level.T)).sum() * 0.001 == pytest.approx(0.25, abs=0.012)
+
+
+def test_horizontal_pictures_are_read_by_depth_where_their_colours_go_by_it() -> None:
+    """As a radial picture shows; at the horizontal one's own height they are read as they are, whatever it is."""
+    x, y = disc_grid()
+    radius = np.minimum(np.hypot(x, y), 1)[..., None]
+
+    def toned(amount: NDArray[np.floating]) -> Source:
+        rgb = np.where(np.hypot(x, y)[..., None] > 0.95, RIND, FLESH + amount * [-0.5, 0.4, 0])
+        return Source.of(Disc(rgb.astype(np.float32)), is_horizontal=amount is across)
+
+    across = np.square(radius)
+    by_share = np.minimum(np.abs(x) / np.sqrt(np.maximum(1 - y * y, 0.01)), 1)[..., None]
+    rinds = Rinds.of([drawn(0.05, 0.05)], [drawn(0.05, 0.05)], HEIGHT, 1)
+    horizontal = toned(across)
+    assert depths_of([horizontal], [toned(radius * radius)], rinds) is Depths.KEPT
+    assert depths_of([horizontal], [toned(np.square(by_share))], rinds) is Depths.SHARED
+    assert depths_of([horizontal], [], rinds) is Depths.SHARED
+    out = np.linspace(0.1, 0.9, 9) * np.sqrt(1 - HEIGHT**2)
+    points = np.stack([out, 0 * out, np.full(9, HEIGHT)], -1).astype(np.float32)
+    for depths in Depths:
+        at = Ball.of(points, rinds, depths).level[:, 0]
+        assert at == pytest.approx(np.linspace(0.1, 0.9, 9), abs=0.005)
 
 
 def test_between_planes_a_rind_has_no_step(rinds: Rinds) -> None:
