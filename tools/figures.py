@@ -60,6 +60,15 @@ def of_photographs() -> list[str]:
     return lines
 
 
+def of_drawn() -> list[str]:
+    """Kinds that are drawn: how far insides and other individuals are from one, and with how much spread."""
+    lines = []
+    for kind, seeds in chart("drawn_kinds")["kinds"].items():
+        ours = [one["ours"] for one in seeds]
+        lines.append(row(kind, f"{np.mean(ours):.3f} ± {np.std(ours):.3f}", f"{seeds[0]['another']:.3f}"))
+    return lines
+
+
 def of_captures() -> list[str]:
     """Solids beside captures."""
     found = chart("fidelity")["captures"]
@@ -168,6 +177,7 @@ def of_batches() -> list[str]:
 
 TABLES: tuple[Callable[[], list[str]], ...] = (
     of_photographs,
+    of_drawn,
     of_captures,
     of_others,
     of_seeds,

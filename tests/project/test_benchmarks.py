@@ -12,7 +12,7 @@ from tests.paths import ROOT
 
 COMMANDS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if path.stem != "__init__")
 FOLDERS = sorted(path.parent.name for path in (ROOT / "benchmarks").glob("*/__main__.py"))
-PHOTOGRAPHS = ["photographs.changed", "photographs.faces", "photographs.insides"]
+PHOTOGRAPHS = ["photographs.changed", "photographs.faces", "photographs.insides", "photographs.kinds"]
 READERS = ["readers.corpus", "readers.formats", "readers.fuzz"]
 NO_CHARTS = {"readers.corpus", "readers.fuzz"}
 """The first writes a table to a given file, the second prints."""
