@@ -57,7 +57,8 @@ median is taken."""
 WHOLE, SHARP, RAISED = 0.9, 0.95, 1.25
 """Least share of its hull that is filled by what stands out around the axis if all of that is the core, whatever lies
 in it, as the hollow of a papaya with its seeds; and least share of it that stands out by more than this factor of the
-least contrast."""
+least contrast. Stars and pith in eight photographs fill up to 0.86, hollows, stones and a yolk of five drawn kinds 0.92
+or more, of which 0.977 or more stands out so."""
 
 GAP = 2 * NARROWEST
 """Half width in radii of gaps that do not part such a core: between a hollow and pale seeds is the colour of flesh."""

@@ -97,8 +97,8 @@ class Seeds:
                     if _from_core(region, is_horizontal) > core:
                         found[rows] = found.max() + 1
         assert roots is not None
-        together = (left >= 1) & (roots > 0) & ~np.isin(roots, roots[found > 0])
-        for region in regionprops(_parted(np.where(together, roots, 0), contrast)):
+        rest = (left >= 1) & (roots > 0) & ~np.isin(roots, roots[found > 0])
+        for region in regionprops(_parted(np.where(rest, roots, 0), contrast)):
             if is_whole(region) and _from_core(region, is_horizontal) > core:
                 found[tuple(region.coords.T)] = found.max() + 1
         under_rind = np.setdiff1d(roots[found > 0], roots[radius > 1 - rind])
