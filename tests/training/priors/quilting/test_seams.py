@@ -1,10 +1,11 @@
-"""A sweep over labels, against the same written plainly."""
+"""Sweeps over labels, against the same written plainly."""
 
 from __future__ import annotations
 
 import itertools
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.threads import cores, use_cores
 from training.priors.exemplar.quilting.seams import NO_SEAM, improve_labels
@@ -27,7 +28,7 @@ def test_each_cell_gets_its_cheapest_label() -> None:
     colours[:, 3] = colours[:, 1]
     found = costs.argmin(1).astype(np.int32)
     wanted = found.copy()
-    improve_labels(found, number, cells, colours, costs, weight)
+    improve_labels(found, number, cells, colours, costs, weight, 1)
     row = {tuple(cell): n for n, cell in enumerate(cells)}
     order = sorted(range(len(cells)), key=lambda n: tuple(cells[n, ::-1] & 1))
     for n in order:
@@ -44,15 +45,32 @@ def test_each_cell_gets_its_cheapest_label() -> None:
 
 
 def test_any_number_of_threads_gives_the_same() -> None:
-    rng = np.random.default_rng(1)
-    number = np.arange(20**3, dtype=np.int32).reshape(20, 20, 20)
-    cells = np.argwhere(number >= 0).astype(np.int32)
-    colours, costs = rng.random((len(cells), 4, 3), np.float32), rng.random((len(cells), 4), np.float32)
+    number, cells, colours, costs = _cube(20)
     found, before = [], cores()
     for count in (1, 3):
         use_cores(count)
         labels = costs.argmin(1).astype(np.int32)
-        improve_labels(labels, number, cells, colours, costs, 0.5)
+        improve_labels(labels, number, cells, colours, costs, 0.5, 2)
         found.append(labels)
     use_cores(before)
     assert np.array_equal(*found)
+
+
+def test_cells_that_are_not_looked_at_again_would_not_change() -> None:
+    number, cells, colours, costs = _cube(20)
+    at_once = costs.argmin(1).astype(np.int32)
+    one_by_one = at_once.copy()
+    improve_labels(at_once, number, cells, colours, costs, 0.2, 6)
+    for _ in range(6):  # each looks at all cells
+        before = one_by_one.copy()
+        improve_labels(one_by_one, number, cells, colours, costs, 0.2, 1)
+    assert np.array_equal(at_once, one_by_one)
+    assert not np.array_equal(before, costs.argmin(1))
+
+
+def _cube(size: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Rows of a cube's cells, the cells, and random colours and costs of four labels at them."""
+    rng = np.random.default_rng(1)
+    number = np.arange(size**3, dtype=np.int32).reshape(size, size, size)
+    cells = np.argwhere(number >= 0).astype(np.int32)
+    return number, cells, rng.random((len(cells), 4, 3), np.float32), rng.random((len(cells), 4), np.float32)

@@ -239,8 +239,7 @@ def make_quilt(
         else:
             nearest, _ = two_nearest(before, coarse, _in_cells(points, LEVELS[step - 1]), len(labels))
             chosen = nearest[:, 0].copy()
-        for _ in range(STEPS):
-            improve_labels(chosen, number, cells, at_cells.colours, at_cells.costs, SEAM_COST * size)
+        improve_labels(chosen, number, cells, at_cells.colours, at_cells.costs, SEAM_COST * size, STEPS)
     assert number is not None and chosen is not None
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())

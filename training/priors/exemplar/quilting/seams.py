@@ -22,18 +22,23 @@ def improve_labels(
     number: NDArray[np.int32],  # [X, Y, Z] row of each cell, -1 outside
     cells: NDArray[np.int32],  # [M, 3]
     colours: NDArray[np.float32],  # [M, K, 3] of every label at every cell
-    costs: NDArray[np.float32],  # [M, K]
+    costs: NDArray[np.float32],  # [M, K], infinite where a label is out of the question
     weight: float,
+    sweeps: int,
 ) -> None:
-    """One sweep of iterated conditional modes (Besag 1986).
+    """Sweeps of iterated conditional modes (Besag 1986).
 
     The seam between two neighbours costs the difference of their labels' colours at both (Kwatra et al. 2003).
     Neighbours are the six beside a cell and the eight at its corners: with six alone, seams follow the grid.
     Cells are updated an eighth at a time, those of one parity: no two of them are neighbours, so any number of threads
-    gives the same labels.
+    gives the same labels. A cell is looked at again only after a neighbour has changed, which is one in twenty after
+    the first sweep. The colours of a label are read only at cells where it is in question, and beside them.
     """
-    for parity in range(8):
-        for_spans(_improve_labels, len(cells), labels, number, cells, colours, costs, np.float32(weight), parity)
+    stale = np.ones(len(cells), np.bool_)
+    for _ in range(sweeps):
+        for parity in range(8):
+            args = labels, stale, number, cells, colours, costs, np.float32(weight), parity
+            for_spans(_improve_labels, len(cells), *args)
 
 
 @njit(cache=True, nogil=True)
@@ -41,6 +46,7 @@ def _improve_labels(
     start: int,
     stop: int,
     labels: NDArray[np.int32],  # [M], changed in place
+    stale: NDArray[np.bool_],  # [M], whether a neighbour has changed since; changed in place
     number: NDArray[np.int32],  # [X, Y, Z]
     cells: NDArray[np.int32],  # [M, 3]
     colours: NDArray[np.float32],  # [M, K, 3]
@@ -51,8 +57,9 @@ def _improve_labels(
     near, share = np.empty(14, np.int64), np.empty(14, np.float32)
     for m in range(start, stop):
         i, j, k = cells[m, 0], cells[m, 1], cells[m, 2]
-        if (i & 1) + 2 * (j & 1) + 4 * (k & 1) != parity:
+        if not stale[m] or (i & 1) + 2 * (j & 1) + 4 * (k & 1) != parity:
             continue
+        stale[m] = False
         found = 0
         for d in range(14):
             if d < 6:
@@ -87,7 +94,10 @@ def _improve_labels(
                     energy += share[d] * strength * _seam(colours, m, near[d], a, labels[near[d]])
             if energy < least or (energy == least and a < best):
                 best, least = a, energy
-        labels[m] = best
+        if best != labels[m]:
+            labels[m] = best
+            for d in range(found):
+                stale[near[d]] = True
 
 
 @njit(cache=True, nogil=True, inline="always")
