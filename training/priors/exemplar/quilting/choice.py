@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.threads import side_by_side
-from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, Places, smooth_noise
+from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, Rows, smooth_noise
 from training.priors.exemplar.quilting.disc import REACH, to_pixels
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs, read_maps
-from training.priors.exemplar.quilting.seams import nearest_colour
+from training.priors.exemplar.quilting.seams import labels_near, nearest_colour
 from training.priors.exemplar.quilting.things.core import Core
 
-__all__ = ["Cells", "weigh_labels"]
+__all__ = ["Cells", "Question", "weigh_labels"]
 
 DISTANCE_COST = 5.0
 """Cost of a radius of distance from a picture's plane. All costs are weighed against seams between colours that differ
@@ -60,26 +60,44 @@ class Cells:
     """What K labels cost and show at M cells."""
 
     costs: NDArray[np.float32]
-    """(M, K)."""
+    """(M, K). Infinite where a label is out of the question."""
     colours: NDArray[np.float32]
-    """(M, K, 3)."""
-    places: list[Places]
-    """What the labels read at the cells."""
+    """(M, K, 3). Known where a label is in question and at the cells beside."""
 
 
-def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: float, seed: int) -> Cells:
-    """What all labels cost and show at all points; `cell` is the distance of points in radii."""
+@dataclass(frozen=True)
+class Question:
+    """Which of K labels are in question at M cells."""
+
+    open: NDArray[np.bool_]
+    """(M, K). Whether a label may be chosen."""
+    beside: NDArray[np.bool_]
+    """(M, K). Whether it may be chosen there or at a neighbour."""
+
+    @classmethod
+    def near(
+        cls, labels: NDArray[np.int32], number: NDArray[np.int32], cells: NDArray[np.int32], count: int
+    ) -> Question:
+        """Those of `count` labels that cells of a grid (X, Y, Z) or their neighbours have, by the labels (M,) of its
+        cells (M, 3)."""
+        return cls(*(labels_near(labels, number, cells, count, reach) for reach in (1, 2)))
+
+
+def weigh_labels(
+    labels: list[Label], along: list[Source], ball: Ball, cell: float, seed: int, question: Question | None = None
+) -> Cells:
+    """What all labels cost and show at all points, or those in question; `cell` is the distance of points in radii."""
     shape = len(ball.points), len(labels)
-    costs = np.empty(shape, np.float32)
-    read = side_by_side(lambda label: label.chunks.places(ball), labels)
-    out = Cells(costs, np.empty((*shape, 3), np.float32), read)
-    own = [(label, places) for label, places in zip(labels, read, strict=True) if label.is_own and label.is_horizontal]
-    membranes_here = [read_maps(places, [s.membranes for s in label.sources]) for label, places in own]
+    out = Cells(np.full(shape, np.inf, np.float32), np.empty((*shape, 3), np.float32))
+    own = [label for label in labels if label.is_own and label.is_horizontal]
+    membranes_here = [read_maps(label.chunks.places(ball), [s.membranes for s in label.sources]) for label in own]
 
     def weigh(n: int) -> None:
-        label, places = labels[n], read[n]
+        rows: Rows = slice(None) if question is None else np.flatnonzero(question.beside[:, n])
+        label, here = labels[n], ball.at(rows)
+        places = label.chunks.places(here)
         even = label.read_even(places)
-        out.colours[:, n] = label.in_own_tones(even, places, distance_across(labels, label, ball))
+        out.colours[rows, n] = label.in_own_tones(even, places, distance_across(labels, label, here))
         left = label.left(places, even)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
@@ -88,28 +106,28 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
             membrane = read_maps(places, [s.membranes for s in label.sources])
             if along:  # a membrane may well lie beside a radial cut
                 seen = read_discs(places, [s.blurred for s in label.sources])
-                surprise = np.minimum(_unseen(seen, along, ball) / UNSEEN_MOST, 1) * (1 - membrane)
+                surprise = np.minimum(_unseen(seen, along, here) / UNSEEN_MOST, 1) * (1 - membrane)
         if label.is_own:
-            band = OWN_BAND * np.exp(0.4 * smooth_noise(ball, 0.3, np.random.default_rng([seed, 2, n])))
+            band = OWN_BAND * np.exp(0.4 * smooth_noise(here, 0.3, np.random.default_rng([seed, 2, n])))
             near = np.exp(-np.square(places.distance / band)) * (1 - surprise)
             own_plane = OWN_PLANE_GAIN if label.is_horizontal else OWN_PLANE_GAIN / 2  # on the line where they meet
             cost = cost - OWN_GAIN * near - own_plane * (places.distance < 0.75 * cell)
             surprise = surprise * (1 - near)
             if isinstance(label.chunks, OwnHeight):
-                core, (x, y, z) = label.sources[0].core, ball.points.T
+                core, (x, y, z) = label.sources[0].core, here.points.T
                 if isinstance(core, Core):  # a column is everywhere
                     cost = cost - CORE_GAIN * core.holds(x, y, z - label.chunks.height)
         else:
-            cost = cost + RIND_COST * ball.rind
+            cost = cost + RIND_COST * here.rind
         if label.is_horizontal:
             membrane_cost = -MEMBRANE_COST if label.is_own else MEMBRANE_COST
             cost = cost + GONE_COST * left * (1 - membrane) + membrane_cost * membrane
             cost = cost + UNSEEN_COST * surprise
         else:
             cost = cost + GONE_COST * left + SECTOR_COST
-            for membrane in membranes_here:
-                cost = cost + 0.5 * MEMBRANE_COST * membrane
-        costs[:, n] = cost
+            for of_own in membranes_here:
+                cost = cost + 0.5 * MEMBRANE_COST * of_own[rows]
+        out.costs[rows, n] = cost if question is None else np.where(question.open[rows, n], cost, np.inf)
 
     side_by_side(weigh, range(len(labels)))
     return out

@@ -8,7 +8,7 @@ which the pictures were taken show them as they are.
 from __future__ import annotations
 
 from collections.abc import Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Protocol
 
@@ -131,11 +131,15 @@ class Ball:
         level = (skin * (1 - deep) + share * deep) / np.maximum(radius, 1e-4)
         rind = 1 - under
         angle = np.arctan2(y, x)
-        fields = (radius, length, angle, rind, points[:, :2] * level[:, None])
-        return cls(points, *(f.astype(np.float32) for f in fields))
+        found = (radius, length, angle, rind, points[:, :2] * level[:, None])
+        return cls(points, *(f.astype(np.float32) for f in found))
+
+    def at(self, rows: Rows) -> Ball:
+        """Some of the points."""
+        return Ball(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
-Rows = NDArray[np.bool_] | slice
+Rows = NDArray[np.bool_] | NDArray[np.intp] | slice
 """Some of M points, or all of them: a slice copies nothing."""
 
 

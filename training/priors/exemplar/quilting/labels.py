@@ -57,6 +57,9 @@ TONE = 0.05
 TONE_BLEND = 0.04
 """Standard deviation in radii over which the tones of two chunks blend at their seam."""
 
+SLIGHT = 1 / 255
+"""Share of a label at a cell up to which its tones do not count there: a step of 8 bits between black and white."""
+
 OWN_WEIGHT = 4.0
 """Further weight of a picture's tones in its own plane."""
 
@@ -366,7 +369,6 @@ def blended_tones(
     number: NDArray[np.int32],
     size: int,
     chosen: NDArray[np.int32],
-    read: list[Places],
 ) -> NDArray[np.float32]:
     """(X, Y, Z, 3). The tones of the labels (M,) that are chosen at cells of a grid, `size` of them across the ball,
     blended at seams: the lower of two bands of a multiresolution spline (Burt and Adelson 1983)."""
@@ -374,17 +376,20 @@ def blended_tones(
     blended = np.zeros((len(ball.points), 3), np.float32)
     weights = np.zeros((len(ball.points), 1), np.float32)
 
-    def weigh(n: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        label, places, here = labels[n], read[n], np.zeros(number.shape, np.float32)
+    def weigh(n: int) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
+        label, here = labels[n], np.zeros(number.shape, np.float32)
         here[inside] = chosen == n
         weight = ndimage.gaussian_filter(here, TONE_BLEND * size / 2)[inside]
+        rows = np.flatnonzero(weight > SLIGHT)
+        near, weight = ball.at(rows), weight[rows, None]
+        places = label.chunks.places(near)
         if label.is_own:
-            weight *= 1 + OWN_WEIGHT * np.exp(-np.square(places.distance / TONE_BLEND))
-        return weight[:, None], weight[:, None] * label.read_tones(places, distance_across(labels, label, ball))
+            weight *= 1 + OWN_WEIGHT * np.exp(-np.square(places.distance[:, None] / TONE_BLEND))
+        return rows, weight, weight * label.read_tones(places, distance_across(labels, label, near))
 
-    for weight, toned in side_by_side(weigh, range(len(labels))):
-        blended += toned
-        weights += weight
+    for rows, weight, toned in side_by_side(weigh, range(len(labels))):
+        blended[rows] += toned
+        weights[rows] += weight
     total = np.zeros((*number.shape, 3), np.float32)
     total[inside] = blended / np.maximum(weights, 1e-6)
     nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)

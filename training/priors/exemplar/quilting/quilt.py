@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.threads import side_by_side
-from training.priors.exemplar.quilting.choice import weigh_labels
+from training.priors.exemplar.quilting.choice import Question, weigh_labels
 from training.priors.exemplar.quilting.chunks import (
     OWN_AZIMUTHS,
     SECTOR_SETS,
@@ -27,7 +27,6 @@ from training.priors.exemplar.quilting.chunks import (
     Depths,
     OwnAzimuths,
     OwnHeight,
-    Places,
     Sectors,
     Slabs,
 )
@@ -233,17 +232,19 @@ def make_quilt(
         coarse, before = number, chosen
         number, cells, points = _grid(size)
         ball = Ball.of(points, rinds, depths)
-        at_cells = weigh_labels(labels, along, ball, 2 / size, seed)
         if coarse is None or before is None:
+            at_cells = weigh_labels(labels, along, ball, 2 / size, seed)
             chosen = at_cells.costs.argmin(1).astype(np.int32)
         else:
             nearest, _ = two_nearest(before, coarse, _in_cells(points, LEVELS[step - 1]), len(labels))
             chosen = nearest[:, 0].copy()
+            question = Question.near(chosen, number, cells, len(labels))
+            at_cells = weigh_labels(labels, along, ball, 2 / size, seed, question)
         improve_labels(chosen, number, cells, at_cells.colours, at_cells.costs, SEAM_COST * size, STEPS)
     assert number is not None and chosen is not None
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
-    return _assembled(rinds, depths, labels, across, along, seed, number, chosen, ball, at_cells.places)
+    return _assembled(rinds, depths, labels, across, along, seed, number, chosen, ball)
 
 
 def restore_quilt(
@@ -260,8 +261,7 @@ def restore_quilt(
         raise ValueError("a label that no picture has")
     depths = depths_of(across, along, rinds)
     ball = Ball.of(points, rinds, depths)
-    places = side_by_side(lambda label: label.chunks.places(ball), labels)
-    return _assembled(rinds, depths, labels, across, along, seed, number, chosen, ball, places)
+    return _assembled(rinds, depths, labels, across, along, seed, number, chosen, ball)
 
 
 def _make_sources(
@@ -321,15 +321,14 @@ def _assembled(
     number: NDArray[np.int32],
     chosen: NDArray[np.int32],
     ball: Ball,
-    places: list[Places],
 ) -> Quilt:
-    """The quilt of labels that are `chosen` (M,) at the cells and read these `places` there."""
+    """The quilt of labels that are `chosen` (M,) at the cells, which have these places in the ball."""
     textures = {
         h: TextureField([source.parts.texture for source in sources], h, np.random.default_rng([seed, 5, int(h)]))
         for h, sources in ((True, across), (False, along))
         if sources
     }
-    tones = blended_tones(labels, ball, number, LEVELS[-1], chosen, places)
+    tones = blended_tones(labels, ball, number, LEVELS[-1], chosen)
     ground = Quilt(rinds, depths, labels, number, chosen, textures, tones, None, None)
     planes = [label for label in labels if label.is_own]
     seeds = _packed(ground, planes, across, along, seed)

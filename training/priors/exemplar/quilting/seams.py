@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from engine.threads import for_spans
 
-__all__ = ["improve_labels", "nearest_colour", "two_nearest"]
+__all__ = ["improve_labels", "labels_near", "nearest_colour", "two_nearest"]
 
 NO_SEAM = np.float32(0.01)
 """Cost of a seam between equal colours, so that no label is changed for nothing."""
@@ -110,6 +110,38 @@ def _seam(colours, m, n, a, b):  # type: ignore[no-untyped-def]
         here += u * u
         there += v * v
     return np.sqrt(here) + np.sqrt(there) + NO_SEAM
+
+
+def labels_near(
+    labels: NDArray[np.int32],  # [M]
+    number: NDArray[np.int32],  # [X, Y, Z] row of each cell, -1 outside
+    cells: NDArray[np.int32],  # [M, 3]
+    count: int,
+    reach: int,
+) -> NDArray[np.bool_]:
+    """(M, count). Which labels are among those of each cell and of all within `reach` cells along each axis."""
+    out = np.zeros((len(cells), count), np.bool_)
+    for_spans(_labels_near, len(cells), labels, number, cells, reach, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _labels_near(
+    start: int,
+    stop: int,
+    labels: NDArray[np.int32],  # [M]
+    number: NDArray[np.int32],  # [X, Y, Z]
+    cells: NDArray[np.int32],  # [M, 3]
+    reach: int,
+    out: NDArray[np.bool_],  # [M, K]
+) -> None:
+    for m in range(start, stop):
+        i, j, k = cells[m, 0], cells[m, 1], cells[m, 2]
+        for x in range(max(i - reach, 0), min(i + reach + 1, number.shape[0])):
+            for y in range(max(j - reach, 0), min(j + reach + 1, number.shape[1])):
+                for z in range(max(k - reach, 0), min(k + reach + 1, number.shape[2])):
+                    if number[x, y, z] >= 0:
+                        out[m, labels[number[x, y, z]]] = True
 
 
 def nearest_colour(
