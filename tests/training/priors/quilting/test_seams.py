@@ -6,8 +6,10 @@ import itertools
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from engine.threads import cores, use_cores
+from training.priors.exemplar.quilting.choice import Question
 from training.priors.exemplar.quilting.seams import NO_SEAM, improve_labels
 
 NEIGHBOURS = [
@@ -66,6 +68,26 @@ def test_cells_that_are_not_looked_at_again_would_not_change() -> None:
         improve_labels(one_by_one, number, cells, colours, costs, 0.2, 1)
     assert np.array_equal(at_once, one_by_one)
     assert not np.array_equal(before, costs.argmin(1))
+
+
+def test_what_is_not_in_question_is_never_read() -> None:
+    number, cells, colours, costs = _cube(20)
+    rough = np.random.default_rng(2).standard_normal((4, 20, 20, 20))
+    start = np.stack([ndimage.gaussian_filter(r, 3) for r in rough]).argmax(0).astype(np.int32)
+    question = Question.near(start.ravel(), number, cells, 4)
+    for reach, found in ((1, question.open), (2, question.beside)):
+        block = np.ones((2 * reach + 1,) * 3)
+        wanted = np.stack([ndimage.binary_dilation(start == n, block) for n in range(4)], -1)
+        assert np.array_equal(found, wanted.reshape(-1, 4))
+    assert 0.3 < question.beside.mean() < 0.9
+    costs[~question.open] = np.inf
+    found, known = start.ravel().copy(), start.ravel().copy()
+    improve_labels(known, number, cells, colours, costs, 0.2, 6)
+    colours[~question.beside] = np.nan
+    improve_labels(found, number, cells, colours, costs, 0.2, 6)
+    assert np.array_equal(found, known)
+    assert question.open[np.arange(len(found)), found].all()
+    assert (found != start.ravel()).mean() > 0.1
 
 
 def _cube(size: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
