@@ -14,11 +14,15 @@ LATTICE = 1.3
 """Half a side of the lattice in which things are looked up, in radii: the body and a thing's reach."""
 
 
+SMALLEST = 0.03
+"""Least edge in radii of the cells in which what reaches a point is looked up: 87 along a side, which take 5 MB."""
+
+
 class Lattice(NamedTuple):
-    """Things by the cells of a lattice in which their middles are."""
+    """Things by the cells of a lattice."""
 
     cell: float
-    """Edge of a cell, in radii: no thing reaches farther."""
+    """Edge of a cell, in radii."""
     starts: NDArray[np.int64]
     """(C + 1,). Where the things of each cell start in `members`."""
     members: NDArray[np.int64]
@@ -26,12 +30,29 @@ class Lattice(NamedTuple):
 
     @classmethod
     def of(cls, middles: NDArray[np.float32], cell: float) -> Lattice:
-        """Of things around middles (M, 3)."""
+        """Of things around middles (B, 3), by the cells in which these are. No thing reaches farther than `cell`."""
         side = lattice_side(cell)
         at = np.clip(((middles + LATTICE) / np.float32(cell)).astype(np.int64), 0, side - 1)
-        number = (at[:, 0] * side + at[:, 1]) * side + at[:, 2]
-        members = np.argsort(number, kind="stable")
-        return cls(cell, np.searchsorted(number[members], np.arange(side**3 + 1)), members)
+        return cls._sorted(cell, (at[:, 0] * side + at[:, 1]) * side + at[:, 2], np.arange(len(middles)))
+
+    @classmethod
+    def reaching(cls, middles: NDArray[np.float32], reach: NDArray[np.float32]) -> Lattice:
+        """Of things around middles (B, 3), at least one, by all cells that they may reach (B,): what reaches a point is
+        among the things of its cell."""
+        cell = max(float(reach.max()), SMALLEST)
+        side, around = lattice_side(cell), 1.0001 * reach[:, None]  # rounding must not lose what ends at a cell's side
+        low, high = (((middles + far + LATTICE) / cell).astype(np.int64) for far in (-around, around))
+        steps = np.stack(np.meshgrid(*3 * [np.arange((high - low).max() + 1)], indexing="ij"), -1).reshape(-1, 3)
+        at = low[:, None] + steps
+        things, step = np.nonzero(((at <= high[:, None]) & (at >= 0) & (at < side)).all(-1))
+        x, y, z = at[things, step].T
+        return cls._sorted(cell, (x * side + y) * side + z, things)
+
+    @classmethod
+    def _sorted(cls, cell: float, number: NDArray[np.int64], things: NDArray[np.intp]) -> Lattice:
+        """Of things (M,) in cells of this `number` (M,)."""
+        order = np.argsort(number, kind="stable")
+        return cls(cell, np.searchsorted(number[order], np.arange(lattice_side(cell) ** 3 + 1)), things[order])
 
 
 @njit(cache=True)

@@ -72,7 +72,8 @@ def pack(
         return None
     cell = float(2 * EXTENT * tried.axes.max())
     laid = tried.chosen(lay(tried.middles, tried.radii, NEAR, cell, count, wanted))
-    return Packing(seeds, laid, Lattice.of(laid.middles, cell), np.concatenate([some.stamps for some in seeds]))
+    lattice = Lattice.reaching(laid.middles, np.float32(EXTENT) * laid.axes.max(1))
+    return Packing(seeds, laid, lattice, np.concatenate([some.stamps for some in seeds]))
 
 
 @njit(cache=True, nogil=True)
@@ -98,26 +99,25 @@ def _read(
         x = int((points[m, 0] + np.float32(LATTICE)) / cell)
         y = int((points[m, 1] + np.float32(LATTICE)) / cell)
         z = int((points[m, 2] + np.float32(LATTICE)) / cell)
-        a, b = -1, -1
-        most, next_most = np.float32(-9), np.float32(-9)
-        for i in range(max(x - 1, 0), min(x + 2, side)):
-            for j in range(max(y - 1, 0), min(y + 2, side)):
-                for k in range(max(z - 1, 0), min(z + 2, side)):
-                    here = (i * side + j) * side + k
-                    for n in range(starts[here], starts[here + 1]):
-                        thing = members[n]
-                        s, t, w = within(points, m, middles, axes, long, short, thing)
-                        square = s * s + t * t + w * w
-                        if square >= np.float32(EXTENT * EXTENT):
-                            continue
-                        power = axes[thing, 1] * axes[thing, 1] * (one - square)
-                        if power > most:
-                            next_most, b = most, a
-                            most, a = power, thing
-                        elif power > next_most:
-                            next_most, b = power, thing
         for c in range(4):
             out[m, c] = np.float32(0)
+        if min(x, y, z) < 0 or max(x, y, z) >= side:
+            continue
+        a, b = -1, -1
+        most, next_most = np.float32(-9), np.float32(-9)
+        here = (x * side + y) * side + z
+        for n in range(starts[here], starts[here + 1]):
+            thing = members[n]
+            s, t, w = within(points, m, middles, axes, long, short, thing)
+            square = s * s + t * t + w * w
+            if square >= np.float32(EXTENT * EXTENT):
+                continue
+            power = axes[thing, 1] * axes[thing, 1] * (one - square)
+            if power > most:
+                next_most, b = most, a
+                most, a = power, thing
+            elif power > next_most:
+                next_most, b = power, thing
         if a < 0:
             continue
         share = one
