@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -120,6 +121,8 @@ class _Pool:
     def __init__(self) -> None:
         self.count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         self.lock = threading.Lock()
+        self.apart = 0
+        """Functions that run side by side now."""
         self._team: _Team | None = None
 
     def team(self) -> _Team:
@@ -135,7 +138,21 @@ class _Pool:
             self.count, self._team = count, None
 
     def reset(self) -> None:
-        self.lock, self._team = threading.Lock(), None
+        self.lock, self.apart, self._team = threading.Lock(), 0, None
+
+    def run_apart(self, function: Callable[[Item], Result], item: Item) -> Result:
+        """The function's result for an item, on a core of its own."""
+        with self.lock:
+            self.apart += 1
+        try:
+            return function(item)
+        finally:
+            with self.lock:
+                self.apart -= 1
+
+    def is_free(self) -> bool:
+        """Whether functions that run side by side leave a core for a loop."""
+        return self.apart < self.count
 
 
 _pool = _Pool()
@@ -174,10 +191,10 @@ def for_each(kernel: Callable[..., Any], count: int, *args: Any) -> None:
     """Runs kernel(i, *args) for every i in 0..count-1, spread over the cores; returns when all are done.
 
     The kernel must release the interpreter lock (`nogil=True`) to gain from it, and its calls must not depend on each
-    other. An error is raised once all have ended. If another thread is using the cores, the calling one works alone.
+    other. An error is raised once all have ended. If other threads are using the cores, the calling one works alone.
     """
     loop = _Loop(kernel, count, args)
-    if min(_pool.count, count) > 1 and (team := _pool.team()).busy.acquire(blocking=False):
+    if min(_pool.count, count) > 1 and _pool.is_free() and (team := _pool.team()).busy.acquire(blocking=False):
         try:
             team.run(loop)
         finally:
@@ -209,7 +226,7 @@ def side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> l
     if min(len(items), _pool.count) < 2:
         return [function(item) for item in items]
     with ThreadPoolExecutor(_pool.count) as pool:
-        return list(pool.map(function, items))
+        return list(pool.map(partial(_pool.run_apart, function), items))
 
 
 def _read(typingctx, board, place):
