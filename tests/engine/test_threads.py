@@ -71,6 +71,32 @@ def test_results_of_functions_side_by_side_are_in_order_and_the_first_error_is_r
         side_by_side(inverse, range(-4, 4))
 
 
+def test_loops_of_functions_side_by_side_stay_on_their_own_threads() -> None:
+    use_cores(2)
+    both_began = threading.Barrier(2)
+
+    def threads_of_a_loop() -> set[int]:
+        seen = set[int]()
+
+        def kernel(i: int) -> None:
+            seen.add(threading.get_ident())
+            time.sleep(1e-3)
+
+        for_each(kernel, 100)
+        return seen
+
+    def loop(_: int) -> bool:
+        both_began.wait(60)
+        alone = threads_of_a_loop() == {threading.get_ident()}
+        both_began.wait(60)
+        return alone
+
+    assert side_by_side(loop, range(2)) == [True, True]
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda n: 1 // n, range(2))
+    assert len(threads_of_a_loop()) == 2
+
+
 def test_a_helper_takes_part_and_sleeps_when_there_is_nothing_to_do() -> None:
     use_cores(2)
     who = set()

@@ -43,24 +43,28 @@ def _read_spline(
 ) -> None:
     """Quadratic B-splines (Unser 1999) at points; the coefficients of the lattice's border continue beyond it."""
     channels = coefficients.shape[3]
-    weights, first = np.empty((3, 3), np.float32), np.empty(3, np.int64)
+    last_x, last_y, last_z = coefficients.shape[0] - 1, coefficients.shape[1] - 1, coefficients.shape[2] - 1
     for m in range(start, stop):
-        for a in range(3):
-            middle = np.floor(at[m, a] + np.float32(0.5))
-            t = at[m, a] - middle
-            first[a] = np.int64(middle) - 1
-            weights[a, 0] = np.float32(0.5) * (np.float32(0.5) - t) ** 2
-            weights[a, 1] = np.float32(0.75) - t * t
-            weights[a, 2] = np.float32(0.5) * (np.float32(0.5) + t) ** 2
+        x, along_x = _spline(at[m, 0])
+        y, along_y = _spline(at[m, 1])
+        z, along_z = _spline(at[m, 2])
+        z0, z1, z2 = min(max(z, 0), last_z), min(max(z + 1, 0), last_z), min(max(z + 2, 0), last_z)
         for c in range(channels):
             value = np.float32(0)
             for i in range(3):
-                x = min(max(first[0] + i, 0), coefficients.shape[0] - 1)
+                u = min(max(x + i, 0), last_x)
                 for j in range(3):
-                    y = min(max(first[1] + j, 0), coefficients.shape[1] - 1)
-                    line = np.float32(0)
-                    for k in range(3):
-                        z = min(max(first[2] + k, 0), coefficients.shape[2] - 1)
-                        line += weights[2, k] * coefficients[x, y, z, c]
-                    value += weights[0, i] * weights[1, j] * line
+                    v = min(max(y + j, 0), last_y)
+                    line = along_z[0] * coefficients[u, v, z0, c]
+                    line += along_z[1] * coefficients[u, v, z1, c]
+                    line += along_z[2] * coefficients[u, v, z2, c]
+                    value += along_x[i] * along_y[j] * line
             out[m, c] = value
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _spline(at):  # type: ignore[no-untyped-def]
+    """The first of three coefficients along an axis that count at a place, and their weights."""
+    half, middle = np.float32(0.5), np.floor(at + np.float32(0.5))
+    t = at - middle
+    return np.int64(middle) - 1, (half * (half - t) ** 2, np.float32(0.75) - t * t, half * (half + t) ** 2)
