@@ -11,7 +11,7 @@ from skimage.measure import label, regionprops
 
 from tests.helpers.exemplar_faces import photograph
 from training.priors.exemplar.quilting import quilt
-from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, even_around, even_sides, match_light
+from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, even_sides, match_light
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 from training.priors.exemplar.quilting.rinds import rind_of
@@ -50,7 +50,7 @@ def pips(wide: float = 0.05) -> NDArray[np.bool_]:
 def found_in(disc: Disc, *radial: Disc) -> Core | Column:
     """The core of a horizontal picture, with what radial ones show of it."""
     rinds = [rind_of(disc, True)[0], max((rind_of(one, False)[0] for one in radial), default=0.0)]
-    return find_core(disc, even_around(disc), rinds[0], radial, rinds[1], 0.0)
+    return find_core(disc, rinds[0], radial, rinds[1], 0.0)
 
 
 def core_of(disc: Disc, *radial: Disc) -> Core:

@@ -184,20 +184,19 @@ class Source:
         if len(self.grains.radii):
             return self
         has_core = bool(core.region.any())
-        ends = has_core and isinstance(core, Core)
-        membranes, seeds = self.membranes, self.seeds
-        if isinstance(core, Core) and has_core:
+        membranes, seeds, even = self.membranes, self.seeds, self.even
+        if has_core:
+            even = evened(self.disc, self.is_horizontal, core.region)
+        if has_core and isinstance(core, Core):
+            if self.is_horizontal:
+                # Flesh around a core is stained. It shows in its plane as tones do, not in a thin layer.
+                stain = filled_in(even.rgb - filled_in(even.rgb, core.region), core.shape)
+                even = Disc(even.rgb - smooth_disc(Disc(stain), BLUR).rgb)
+                membranes = _without_tips(membranes, core.shape)
             seeds = seeds.chosen(~seeds.within(core.region))  # those of a column are laid along it
             if core.profile:
                 core, inner = self._taken_out(core)
                 seeds = seeds.and_also(inner)
-            if self.is_horizontal:
-                membranes = _without_tips(membranes, core.shape)
-        even = evened(self.disc, self.is_horizontal, core.region) if has_core else self.even
-        if ends and self.is_horizontal:
-            # Flesh around a core is stained. It shows in its plane as tones do, not in a thin layer.
-            stain = filled_in(even.rgb - filled_in(even.rgb, core.region), core.shape)
-            even = Disc(even.rgb - smooth_disc(Disc(stain), BLUR).rgb)
         things = seeds.regions | (membranes > FAINT_MEMBRANE) | core.shape
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)

@@ -123,22 +123,21 @@ def find_cores(
     the ball."""
     faces = [source.disc for source in along]
     rind = max((source.rind for source in along), default=0.0)
-    cores = [find_core(source.disc, source.even, source.rind, faces, rind, height) for source in across]
+    cores = [find_core(source.disc, source.rind, faces, rind, height) for source in across]
     first = cores[0]
     if isinstance(first, Column):
         return cores, [first.along(source.bare.even) for source in along]  # its seeds are laid apart
     return cores, [Core.along(face, first, height) for face in _evened_beside(faces, first.reach)]
 
 
-def find_core(
-    disc: Disc, even: Disc, rind: float, along: Sequence[Disc], rind_along: float, height: float
-) -> Core | Column:
+def find_core(disc: Disc, rind: float, along: Sequence[Disc], rind_along: float, height: float) -> Core | Column:
     """The core of a horizontal face with a rind of this depth in radii, at a height in the ball, as radial faces with
-    rinds of another depth show it. `even` is the horizontal one with even tones."""
+    rinds of another depth show it."""
     # Tones are made even as if there were no core, and a core that is not round is a part of them. So the picture is
     # looked at as it is, and only if light hides a core there, with even tones.
     shape = find_shape(disc, rind)
-    shape = find_shape(even, rind) if shape is None else shape
+    if shape is None:
+        shape = find_shape(evened(disc, True), rind)
     if shape is None:
         return Core.none()
     there = disc_radius() < disc_radius()[shape].max() + MARGIN
@@ -179,7 +178,7 @@ def show_core_that_ends(across: Sequence[Disc], along: Sequence[Disc], height: f
     it as one solid."""
     disc = across[0]
     rind, rind_along = rind_of(disc, True)[0], max((rind_of(one, False)[0] for one in along), default=0.0)
-    core = find_core(disc, evened(disc, True), rind, along, rind_along, height)
+    core = find_core(disc, rind, along, rind_along, height)
     if isinstance(core, Column) or not core.reach:
         return False
     return not any(made_of_grains(one, one is disc) for one in [disc, *along])
