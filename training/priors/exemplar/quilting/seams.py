@@ -31,8 +31,9 @@ def improve_labels(
     The seam between two neighbours costs the difference of their labels' colours at both (Kwatra et al. 2003).
     Neighbours are the six beside a cell and the eight at its corners: with six alone, seams follow the grid.
     Cells are updated an eighth at a time, those of one parity: no two of them are neighbours, so any number of threads
-    gives the same labels. A cell is looked at again only after a neighbour has changed, which is one in twenty after
-    the first sweep. The colours of a label are read only at cells where it is in question, and beside them.
+    gives the same labels. A cell is looked at again only after a neighbour has changed: in the finest grid of a quilt
+    one cell in fifteen changes in the first sweep, and one in sixty in the second. The colours of a label are read only
+    at cells where it is in question, and beside them.
     """
     stale = np.ones(len(cells), np.bool_)
     for _ in range(sweeps):
