@@ -87,6 +87,18 @@ def test_a_star_takes_its_seeds_along() -> None:
     assert dark_share(made, 0.2, 0.3) < 0.02 * there
 
 
+def test_a_rind_does_not_close_where_it_is_uneven() -> None:
+    """Between segments it reaches further in, which by themselves would be closed things."""
+    x, y = disc_grid()
+    radius = np.hypot(x, y)
+    rgb = np.where((radius > 0.85 - 0.05 * np.cos(10 * np.arctan2(y, x)))[..., None], 1.0, FLESH).astype(np.float32)
+    made = Relief.of(Disc(rgb), Disc(np.full_like(rgb, 0.1)), 0.16)
+    turn = np.linspace(0, 2 * np.pi, 360)
+    at = 0.86 * np.cos(turn), 0.86 * np.sin(turn)
+    own, beside = (made.read(*at, np.full(360, away))[:, :3] for away in (0.0, 0.4))
+    assert np.abs(own - beside).max() < 1e-6
+
+
 def test_what_is_dense_does_not_turn_to_mush() -> None:
     """In cells among cells the median is the colour of none, so their picture stays as it is."""
     x, y = disc_grid()

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.helpers.exemplar_faces import photograph
+from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.chunks import Ball, Depths
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.labels import Source, depths_of
+from training.priors.exemplar.quilting.quilt import make_quilt
 from training.priors.exemplar.quilting.rinds import ANGLES, Rinds
 
 FLESH, RIND = np.array([0.9, 0.3, 0.3]), np.array([0.8, 0.9, 0.5])
@@ -165,3 +168,18 @@ def test_each_radial_picture_has_its_own_plane() -> None:
     depth = 1 - np.linalg.norm(rinds.evened(points), axis=1)
     assert depth[:2] == pytest.approx(0.195, abs=0.02)  # under a thin rind: half of the way from 0.1 to 0.3 in REACH
     assert depth[2:] == pytest.approx(0.1125, abs=0.012)  # three quarters of a thick one
+
+
+@pytest.mark.parametrize("pair", [("orange_h1", "orange_v6"), ("orange_h6", "orange_v4"), ("orange_h4", "orange_v2")])
+def test_of_photographs_a_rind_goes_all_around(pair: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the poles as well, where the pith of radial pictures widens into it."""
+    monkeypatch.setattr(quilt, "LEVELS", (16, 32))
+    made = make_quilt([photograph(pair[0])], [photograph(pair[1])], 0, lambda part: None)
+    up = np.random.default_rng(0).normal(size=(20_000, 3))
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    up = up[np.abs(up[:, 2]) < 0.98]  # beyond lies the stem
+    within = 1 - 0.8 * made.rinds.at(up.astype(np.float32), np.ones(len(up)))
+    shown = made.read_evened((within[:, None] * up).astype(np.float32))
+    pale = shown[:, 2] > 0.5 * shown[:, 0]
+    for low, high in ((0, 0.4), (0.4, 0.7), (0.7, 0.85), (0.85, 0.93), (0.93, 0.98)):
+        assert pale[(np.abs(up[:, 2]) >= low) & (np.abs(up[:, 2]) < high)].mean() > 0.9

@@ -101,7 +101,7 @@ class Relief:
         of_strength = Medians(strength.rgb[..., :1])
         first = np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)
         after = [_level(median, of_strength.over(width)) for median, width in zip(medians, WIDTHS, strict=True)]
-        made = cls(np.stack([first, *after]), _heights(ends))
+        made = cls(np.stack([first, *after]), _heights(ends, rind))
         # The function for small holes suppresses warnings of the whole process, which threads must not do.
         open_parts = made.closed_until(rind) < 0
         closed = ~remove_small_objects(open_parts, max_size=round(np.pi * (WIDTHS[1] / PIXEL) ** 2))
@@ -111,7 +111,7 @@ class Relief:
         medians[-1] = Medians(filled_in(disc.rgb, closed)).over(WIDTHS[-1])
         ends[-1] = _end(disc.rgb, face, medians, len(WIDTHS) - 1, ends[:-1])
         made.levels[-1] = _level(medians[-1], of_strength.over(WIDTHS[-1]))
-        return cls(made.levels, _heights(ends))
+        return cls(made.levels, _heights(ends, rind))
 
     def closed_until(self, rind: float) -> NDArray[np.floating]:
         """(P, P). Distance in radii up to which each pixel shows a closed thing; -1 where there is none. What touches a
@@ -120,10 +120,11 @@ class Relief:
         radius = disc_radius()
         least = np.maximum(LEAST_CONTRAST, TYPICAL * np.median(apart[:, radius < 1], axis=1))
         heights = np.moveaxis(self.heights, -1, 0)
-        until = np.where((apart > least[:, None, None]) & (heights < CLOSED), heights, -1).max(0)
+        in_rind = radius > 1 - rind
+        until = np.where((apart > least[:, None, None]) & ((heights < CLOSED) | in_rind), heights, -1).max(0)
         pixels = round(NARROWEST / PIXEL)
         parts, _ = ndimage.label(opened(until > 0, pixels))
-        held = np.bincount(parts[radius > 1 - rind], minlength=parts.max() + 1) == 0
+        held = np.bincount(parts[in_rind], minlength=parts.max() + 1) == 0
         return np.where((parts > 0) & held[parts], until, -1)
 
     def contrast(self) -> NDArray[np.floating]:
@@ -170,11 +171,12 @@ def _level(median: NDArray[np.float32], strength: NDArray[np.float32]) -> NDArra
     return enlarged(np.concatenate([median, strength], -1))
 
 
-def _heights(ends: list[NDArray[np.floating]]) -> NDArray[np.float32]:
+def _heights(ends: list[NDArray[np.floating]], rind: float) -> NDArray[np.float32]:
     """(P, P, L). The heights of a relief whose colours give way at these radii (H, W) of medians: what closes takes
-    along what lies in it."""
+    along what lies in it. A rind of this depth in radii does not close."""
     lowest = list(accumulate(ends[::-1], np.minimum))[::-1]
-    return enlarged(np.stack(lowest, -1).astype(np.float32)) / ROUND
+    heights = enlarged(np.stack(lowest, -1).astype(np.float32)) / ROUND
+    return np.where(disc_radius()[..., None] > 1 - rind, np.float32(NEVER), heights)
 
 
 def _end(

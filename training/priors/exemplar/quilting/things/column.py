@@ -79,11 +79,17 @@ class Column:
         widths = widths / here ** np.exp(-np.square((level - height) / LEVEL))
         return cls(disc_radius() < reach, _depth(shape), _without_small(disc, shape), widths, height, reach)
 
-    def along(self, disc: Disc) -> Column:
-        """The same column, as a radial face of even tones shows it."""
+    def along(self, disc: Disc, rind: float) -> Column:
+        """The same column, as a radial face of even tones with a rind of this depth in radii shows it. At the poles it
+        may widen into the rind, which is no part of it."""
         shown = shown_along(disc, self.reach, self.height)
+        away = np.abs(disc_grid()[0])
+        for side in (slice(DISC_PIXELS // 2), slice(DISC_PIXELS // 2, None)):
+            widths = np.where(shown[side], away[side], 0).max(0)
+            shown[side] &= away[side] <= _without_flares(widths, rind)
         depth = _depth(shown)
-        return replace(self, region=depth > -MARGIN, depth=depth, colours=Disc(filled_in(disc.rgb, ~shown)))
+        region = (depth > -MARGIN) & (disc_radius() < 1 - rind)
+        return replace(self, region=region, depth=depth, colours=Disc(filled_in(disc.rgb, ~shown)))
 
     @property
     def shape(self) -> NDArray[np.bool_]:

@@ -126,7 +126,7 @@ def find_cores(
     cores = [find_core(source.disc, source.rind, faces, rind, height) for source in across]
     first = cores[0]
     if isinstance(first, Column):
-        return cores, [first.along(source.bare.even) for source in along]  # its seeds are laid apart
+        return cores, [first.along(source.bare.even, source.rind) for source in along]  # its seeds are laid apart
     return cores, [Core.along(face, first, height) for face in _evened_beside(faces, first.reach)]
 
 
