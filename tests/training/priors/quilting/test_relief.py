@@ -1,4 +1,4 @@
-"""Closed things as solids, and texture in layers: against discs, fields and stripes of known answer."""
+"""Closed things as solids, membranes as walls and texture in layers: against discs, lines and stripes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.quilting.chunks import Ball
+from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, Places
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
+from training.priors.exemplar.quilting.labels import Label, Source
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.texture import TextureField
 from training.priors.exemplar.sampling import reduced
@@ -135,3 +136,26 @@ def test_a_reduced_picture_is_the_plain_mean_bit_for_bit(n: int, channels: int) 
     for picture in (values, values[..., :channels], np.asfortranarray(values)):
         blocks = picture[: 35 // n * n, : 50 // n * n].reshape(35 // n, n, 50 // n, n, -1)
         assert np.array_equal(reduced(picture, n), blocks.mean((1, 3)))
+
+
+def test_a_membrane_is_even_along_itself_beside_its_picture_and_as_it_is_in_it() -> None:
+    """Cut along, its picture's spots would be rings. It leans by 5 degrees."""
+    x, y = disc_grid()
+    radius, turn = np.hypot(x, y), np.arctan2(y, x)
+    lean = 0.2 + 0.2 * radius
+    across = np.abs((turn - lean + np.pi / 8) % (np.pi / 4) - np.pi / 8) * radius
+    spots = 0.85 + 0.15 * np.sign(np.sin(2 * np.pi * radius / 0.12))
+    rgb = np.where((across < 0.012)[..., None], spots[..., None], [0.95, 0.55, 0.1])
+    rgb = np.where((radius > 0.9)[..., None], [0.95, 0.9, 0.8], rgb)
+    source = Source.of(Disc(rgb.astype(np.float32)), True)
+    label = Label(OwnHeight(0, source.membranes, np.random.default_rng(0)), [source], True, True)
+    along = np.linspace(0.3, 0.75, 200, dtype=np.float32)
+    nothing = np.zeros(200, np.float32)
+    u, v = (along * axis(0.2 + 0.2 * along).astype(np.float32) for axis in (np.cos, np.sin))
+    shown = [
+        label.read_even(Places(nothing.astype(np.int64), u, v, np.full(200, away, np.float32), nothing))
+        for away in (0.0, 0.3)
+    ]
+    assert np.abs(shown[0] - source.parts.things.read(u, v)).max() < 1e-5
+    assert shown[1].std(0).max() < 0.2 * shown[0].std(0).max()
+    assert np.abs(shown[1].mean(0) - shown[0].mean(0)).max() < 0.05

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.threads import side_by_side
-from training.priors.exemplar.quilting.chunks import Ball, Chunks, Depths, Places, Rows
+from training.priors.exemplar.quilting.chunks import Ball, Chunks, Depths, Places
 from training.priors.exemplar.quilting.disc import (
     RIND_RADIUS,
     Disc,
@@ -22,7 +22,7 @@ from training.priors.exemplar.quilting.disc import (
     ring_medians,
     smooth_disc,
 )
-from training.priors.exemplar.quilting.persistence import Persistence, find_membranes
+from training.priors.exemplar.quilting.persistence import Persistence, even_along, find_membranes
 from training.priors.exemplar.quilting.relief import BLEND, Relief
 from training.priors.exemplar.quilting.rinds import Rinds, goes_inwards, rind_of
 from training.priors.exemplar.quilting.texture import FINE, WIDTH, Parts, take_apart
@@ -47,6 +47,10 @@ __all__ = [
 
 FAINT_MEMBRANE = 0.05
 """Least surety of a membrane at which a place is not taken for texture: faint membranes would be scattered."""
+
+EVEN = np.float32(0.04)
+"""Distance in radii from their picture's plane at which membranes are even along themselves. A cut along one shows it
+all over, and what its picture shows of it at one radius would be a ring there."""
 
 BLUR = 0.02
 """Standard deviation in radii of the blur under which colours are looked for nearby: texture does not count."""
@@ -94,6 +98,8 @@ class Source:
     persistence: Persistence
     membranes: NDArray[np.float32]
     """(P, P). How surely each place shows a membrane; 0 for radial pictures."""
+    walls: Disc | None
+    """The things with their usual colours along membranes (`even_along`), if there are any."""
     rind: float
     """Depth in radii of the layers along the rim."""
     grains: Grains
@@ -158,6 +164,9 @@ class Source:
             if len(grains.radii):
                 parts, relief = _apart(even, rind, FINE, grains.regions)
         has_grains = len(grains.radii) > 0
+        membranes = np.zeros(disc.rgb.shape[:2], np.float32)
+        if is_horizontal:
+            membranes = find_membranes(disc, walls=not has_grains)
         hidden = grains.regions | (relief.closed_until(rind) >= 0)
         if has_grains:
             relief = relief.closing(parts.things, parts.strength, grains.regions, grains.regions, BLEND / 2)
@@ -169,7 +178,8 @@ class Source:
             smooth_disc(disc, BLUR),
             smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE),
             persistence,
-            find_membranes(disc, walls=not has_grains) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32),
+            membranes,
+            even_along(parts.things, membranes),
             rind,
             grains,
             Seeds.none() if has_grains else Seeds.of(relief, is_horizontal, rind),
@@ -212,6 +222,7 @@ class Source:
             relief=relief,
             tones=tones,
             membranes=membranes,
+            walls=even_along(parts.things, membranes),
             seeds=seeds,
             is_layered=is_layered,
         )
@@ -288,22 +299,23 @@ class Label:
     is_own: bool
 
     def _read_relief(self, places: Places, film: float = 0.0) -> NDArray[np.float32]:
-        """(M, 4). Colours and strength of texture that the places show. Grains are shown as they are in their picture
-        up to a distance `film` in radii from its own plane."""
+        """(M, 4). Colours and strength of texture that the places show. No distance counts in the rind and in
+        membranes, which run through. Grains are shown as they are in their picture up to a distance `film` in radii
+        from its own plane."""
         out = np.empty((len(places.x), 4), np.float32)
         for n, source in enumerate(self.sources):
             rows = places.of(n, self.sources)
-            x, y = places.x[rows], places.y[rows]
-            distance = places.distance[rows] * self._free(places, rows, source)
+            x, y, free = places.x[rows], places.y[rows], 1 - places.rind[rows]
+            away, runs = places.distance[rows], read_map(source.membranes, x, y) if source.walls else None
+            distance = away * (free if runs is None else free * (1 - runs))
             if source.has_grains:
                 distance = np.where(distance < film, np.float32(0), distance)
-            out[rows] = source.relief.read(x, y, distance)
+            shown = source.relief.read(x, y, distance)
+            if source.walls and runs is not None:
+                even = free * runs * np.minimum(away / EVEN, 1)
+                shown[:, :3] += even[:, None] * (source.walls.read(x, y) - shown[:, :3])
+            out[rows] = shown
         return out
-
-    def _free(self, places: Places, rows: Rows, source: Source) -> NDArray[np.float32]:
-        """(M,). How much of a distance counts: nothing in the rind and in membranes, which run through."""
-        free = 1 - places.rind[rows]
-        return free * (1 - read_map(source.membranes, places.x[rows], places.y[rows])) if self.is_horizontal else free
 
     def read_tones(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). The tones of what the places show."""

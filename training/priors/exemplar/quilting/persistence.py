@@ -7,6 +7,7 @@ off and then removes things narrower than that.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -23,11 +24,12 @@ from training.priors.exemplar.quilting.disc import (
     Medians,
     disc_grid,
     disc_radius,
+    read_map,
     to_pixels,
 )
-from training.priors.exemplar.sampling import blurred, lengths, read_as_scipy, reduced
+from training.priors.exemplar.sampling import blurred, lengths, read_as_scipy, read_bilinear, reduced
 
-__all__ = ["Persistence", "find_membranes"]
+__all__ = ["Persistence", "even_along", "find_membranes"]
 
 DISTANCES = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22)
 """Distances in radii at which the medians are taken; seeds, pores and carpels have half widths in this range."""
@@ -60,6 +62,11 @@ ANGLES, RADII = 360, 128
 
 MEMBRANE_RADII = (0.12, 0.93)
 """Radii between which membranes lie: inside is the core, outside the rind."""
+
+ALONG, FINE, ACROSS = 0.1, 1440, 1.5
+"""Standard deviation in radii of the mean along a membrane that leaves its usual colour; samples around the middle, as
+a membrane has few pixels across; and standard deviation in degrees of the blur under which it is looked for which way
+it leans: by its middle, from which its edges do not lean away."""
 
 ROWS = 8
 """Radii that a thread takes at a time."""
@@ -106,6 +113,36 @@ def find_membranes(disc: Disc, *, walls: bool) -> NDArray[np.float32]:
         share = np.clip(2 * thin / (wide + 0.02) - 0.5, 0, 1)
         membranes = np.maximum(membranes, found * blurred(share, BORDER * DISC_PIXELS / (2 * REACH)))
     return membranes
+
+
+def even_along(face: Disc, membranes: NDArray[np.float32]) -> Disc | None:
+    """A horizontal face, even along its membranes (P, P); None without any. Meaningful only where there are any."""
+    if not membranes.any():
+        return None
+    turn, radius = np.arange(FINE) / FINE * 2 * np.pi, (np.arange(RADII) + 0.5) / RADII
+    x, y = radius[:, None] * np.cos(turn), radius[:, None] * np.sin(turn)
+    surely = read_map(membranes, x, y)[..., None]
+    weighted = np.concatenate([surely * face.read(x, y), surely], -1)
+    found, most = np.zeros_like(weighted), np.zeros(surely.shape[:2], np.float32)
+    mean = cv2.getGaussianKernel(2 * round(3 * ALONG * RADII) + 1, ALONG * RADII, cv2.CV_32F)
+    for bend in BENDS / MEMBRANE_LENGTH:
+        shifts = np.round(bend * radius * FINE / (2 * np.pi)).astype(int)
+        straight = _turned(weighted, -shifts)
+        means = cv2.sepFilter2D(straight, -1, np.ones(1, np.float32), mean, borderType=cv2.BORDER_CONSTANT)
+        leant = _turned(np.asarray(means, np.float32), shifts)
+        near = blurred(leant[..., 3], ACROSS * FINE / 360)
+        better = near > most
+        found[better], most[better] = leant[better], near[better]
+    even = found[..., :3] / np.maximum(found[..., 3:], 1e-6)
+    px, py = disc_grid()
+    around = np.arctan2(py, px) % (2 * np.pi) / (2 * np.pi) * FINE
+    closed = np.concatenate([even, even[:, :1]], axis=1)
+    return Disc(read_bilinear(closed, (disc_radius() * RADII - 0.5).ravel(), around.ravel()).reshape(face.rgb.shape))
+
+
+def _turned(polar: NDArray[np.float32], shifts: NDArray[np.int_]) -> NDArray[np.float32]:
+    """(R, A, C). Values by radius and angle (R, A, C), turned by so many samples (R,)."""
+    return np.stack([np.roll(row, shift, axis=0) for row, shift in zip(polar, shifts, strict=True)])
 
 
 def _contrasts_along(polar: NDArray[np.float32], samples: int) -> NDArray[np.floating]:
