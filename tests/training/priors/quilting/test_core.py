@@ -340,3 +340,15 @@ def test_of_photographs_pith_is_a_column_that_no_rind_widens(pair: tuple[str, st
     level = disc_grid()[1][0]
     assert column.widths[np.abs(level) < 0.3].min() > 0.4
     assert column.widths[np.abs(level) > 0.75].max() < 1.0
+
+
+def test_the_edge_of_a_column_has_no_steps_and_its_outline_no_rings() -> None:
+    """Its depth is that of a round one to 0.4 pixels, and fibres beside it in the radial picture widen it nowhere."""
+    x, y = disc_grid()
+    shown = face(np.abs(x) < 0.16 + 0.06 * (np.sin(80 * y) > 0.5) * (x > 0))
+    column = found_in(face(np.hypot(x, y) < 0.16), shown)
+    assert isinstance(column, Column)
+    turn = np.linspace(0, 2 * np.pi, 2000)
+    assert np.abs(column.depth_at(0.16 * np.cos(turn), 0.16 * np.sin(turn))).max() < 0.4 * PIXEL
+    level = disc_grid()[1][0]
+    assert np.ptp(column.widths[np.abs(level) < 0.7]) < 0.03

@@ -39,12 +39,19 @@ its height is not how wide the column is."""
 LEAST = 0.05
 """Least such width: less is its end."""
 
+CALM = 0.04
+"""Standard deviation in radii of the blur of widths along the axis: fibres that a radial picture shows beside a column
+would be rings around it."""
+
 SMALL = 0.07
 """Radius in radii of the medians that leave what runs along the axis: nothing as small as a seed is left."""
 
 WANDER = 0.2
 """Half of the largest distance in radii by which directions show a radial picture at heights of their own: more than
 the width of a column, over which its fibres change."""
+
+EDGE = 1.5
+"""Standard deviation in pixels of the blur of depths: the edge of a shape has steps of whole pixels."""
 
 CLOSE = 0.03
 """Distance in radii from the horizontal picture's plane within which what is small ends."""
@@ -73,7 +80,8 @@ class Column:
         cut `along` the axis, show it. Their rinds have this depth in radii."""
         reach = float(disc_radius()[shape].max()) + MARGIN
         level = disc_grid()[1][0]
-        wide = _without_flares(widths_along(along, reach, height), rind)
+        calm = ndimage.gaussian_filter1d(widths_along(along, reach, height), CALM / PIXEL)
+        wide = _without_flares(calm, rind)
         widths = np.minimum(wide / max(float(wide[np.abs(level - height) < LEVEL].mean()), 1.0), MOST)
         here = max(float(np.interp(height, level, widths)), LEAST)
         widths = widths / here ** np.exp(-np.square((level - height) / LEVEL))
@@ -177,5 +185,5 @@ def _depth(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(P, P). Distance in radii of each pixel from the edge of a shape, negative outside of it."""
     if not shape.any():
         return np.full(shape.shape, -1, np.float32)
-    depth = depth_in(shape) - depth_in(~shape)
+    depth = ndimage.gaussian_filter(depth_in(shape) - depth_in(~shape), EDGE)
     return (depth * PIXEL).astype(np.float32)
