@@ -352,3 +352,16 @@ def test_the_edge_of_a_column_has_no_steps_and_its_outline_no_rings() -> None:
     assert np.abs(column.depth_at(0.16 * np.cos(turn), 0.16 * np.sin(turn))).max() < 0.4 * PIXEL
     level = disc_grid()[1][0]
     assert np.ptp(column.widths[np.abs(level) < 0.7]) < 0.03
+
+
+def test_the_edge_of_a_core_has_no_steps() -> None:
+    """Cut at any distance from its picture, a round one is round to half a pixel."""
+    x, y = disc_grid()
+    disc = face(np.hypot(x, y) < 0.1)
+    core, turn = Core.across(np.hypot(x, y) < 0.1, []), np.linspace(0, 2 * np.pi, 500)
+    away = np.linspace(0.07, 0.12, 201)
+    for rise in (0.0, 0.03, 0.06):
+        u, v = (np.outer(away, along(turn)).ravel() for along in (np.cos, np.sin))
+        deep = core.read(disc, u, v, np.full(u.size, rise))[1].reshape(len(away), -1)
+        edge = away[(deep > 0).sum(0) - 1]
+        assert np.ptp(edge) < PIXEL

@@ -100,6 +100,19 @@ def test_a_rind_does_not_close_where_it_is_uneven() -> None:
     assert np.abs(own - beside).max() < 1e-6
 
 
+def test_what_is_laid_whole_gives_way_to_its_surroundings_at_once() -> None:
+    """Medians among dark things are dark between them, and would be lines along the plane."""
+    x, y = disc_grid()
+    dark = np.abs(np.hypot(x, y) - 0.11) < 0.07
+    rgb = np.where(dark[..., None], SEED, FLESH).astype(np.float32)
+    near = np.hypot(x, y) < 0.25
+    made = relief(dark).closing(Disc(rgb), Disc(np.full_like(rgb, 0.1)), near, dark)
+    flesh = np.hypot(x, y) < 0.02
+    for away in np.linspace(0, 0.05, 26):
+        shown = made.read(x[flesh], y[flesh], np.full(flesh.sum(), away))[:, :3]
+        assert np.abs(shown - FLESH).max() < 0.02
+
+
 def test_what_is_dense_does_not_turn_to_mush() -> None:
     """In cells among cells the median is the colour of none, so their picture stays as it is."""
     x, y = disc_grid()

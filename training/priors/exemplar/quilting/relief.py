@@ -146,7 +146,9 @@ class Relief:
         radii from the plane, all at once, to the surroundings of all that is hidden (P, P)."""
         last = np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)
         last = enlarged(Medians(filled_in(last, hidden)).over(WIDTHS[-1]))
-        at = np.where(region[..., None], np.minimum(self.heights, end), self.heights)
+        ends = np.full(len(WIDTHS), end - BLEND, np.float32)
+        ends[0] = end  # when the first level gives way, none of the others is left to show
+        at = np.where(region[..., None], np.minimum(self.heights, ends), self.heights)
         return replace(self, levels=np.concatenate([self.levels[:-1], last[None]]).astype(np.float32), heights=at)
 
     def read(

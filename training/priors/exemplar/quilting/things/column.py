@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
     PIXEL,
@@ -28,6 +27,7 @@ from training.priors.exemplar.quilting.disc import (
     read_map,
 )
 from training.priors.exemplar.quilting.things.core import MARGIN, SMOOTH
+from training.priors.exemplar.quilting.things.forms import depth_of
 from training.priors.exemplar.quilting.things.widths import MOST, shown_along, widths_along
 
 __all__ = ["Column"]
@@ -49,9 +49,6 @@ SMALL = 0.07
 WANDER = 0.2
 """Half of the largest distance in radii by which directions show a radial picture at heights of their own: more than
 the width of a column, over which its fibres change."""
-
-EDGE = 1.5
-"""Standard deviation in pixels of the blur of depths: the edge of a shape has steps of whole pixels."""
 
 CLOSE = 0.03
 """Distance in radii from the horizontal picture's plane within which what is small ends."""
@@ -185,5 +182,4 @@ def _depth(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(P, P). Distance in radii of each pixel from the edge of a shape, negative outside of it."""
     if not shape.any():
         return np.full(shape.shape, -1, np.float32)
-    depth = ndimage.gaussian_filter(depth_in(shape) - depth_in(~shape), EDGE)
-    return (depth * PIXEL).astype(np.float32)
+    return depth_of(shape).astype(np.float32)

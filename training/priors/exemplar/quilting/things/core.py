@@ -167,8 +167,8 @@ class Core:
     region: NDArray[np.bool_]
     """(P, P). Where the core is in the picture, and what lies between its parts."""
     form: NDArray[np.float32]
-    """(P, P, 4). The half height of the solid's ridge at each pixel, over the largest, 0 outside of the core; the
-    distance of the pixel from the ridge, over that of the edge; and the vector from the ridge to the edge, in radii. A
+    """(P, P, 4). The half height of the solid's ridge at each pixel, over the largest; the distance of the pixel from
+    the ridge, over that of the edge, from 1 outside of the core; and the vector from the ridge to the edge, in radii. A
     horizontal core in one piece has its middle for a ridge, and the length of that vector for a height."""
     tall: tuple[float, float]
     """Largest half height in radii on either side of the plane, negative distances first; both 0 with a profile, and
@@ -189,6 +189,7 @@ class Core:
     def none(cls) -> Core:
         """The core of a face without any."""
         nothing = np.zeros((DISC_PIXELS, DISC_PIXELS, 4), np.float32)
+        nothing[..., 1] = 1
         return cls(nothing[..., 0] > 0, nothing, (0.0, 0.0), (0.0, 0.0), 0.0)
 
     @classmethod
@@ -206,7 +207,7 @@ class Core:
         below, above = (under + tall) / 2, (over + tall) / 2
         form = form_of(shape)
         ridge = np.stack(disc_grid(), -1) - form[..., 1:2] * form[..., 2:]
-        form[..., 0] = shape * np.maximum(1 - np.square(ridge / reach).sum(-1), 0)
+        form[..., 0] = np.maximum(1 - np.square(ridge / reach).sum(-1), 0)
         return cls(radius < reach, form, (below, above), (max(under, below), max(over, above)), reach)
 
     @classmethod
@@ -224,7 +225,7 @@ class Core:
             return cls.none()
         form = form_of(shape)
         form[..., 0] = np.minimum(form[..., 0], np.interp(np.abs(x), *thickest(core.shape)))
-        most = float(form[..., 0].max())
+        most = float(form[shape, 0].max())
         form[..., 0] /= most
         return replace(core, region=shape, form=form, tall=(most, most))
 
@@ -240,7 +241,7 @@ class Core:
     @property
     def shape(self) -> NDArray[np.bool_]:
         """(P, P). Where the picture shows it."""
-        return self.form[..., 0] > 0
+        return self.form[..., 1] < 1
 
     def has_layers(self, disc: Disc) -> bool:
         """Whether what this face shows of the core are layers along its outline."""

@@ -9,23 +9,32 @@ from scipy import ndimage
 from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.quilting.disc import PIXEL, disc_grid, disc_radius
 
-__all__ = ["form_around", "form_of", "thickest"]
+__all__ = ["depth_of", "form_around", "form_of", "thickest"]
+
+EDGE = 1.5
+"""Standard deviation in pixels of the blur of depths: the edge of a shape has steps of whole pixels."""
 
 DIRECTIONS = 180
 """Directions in which the outline of a core in one piece is sampled: about a pixel of a small one's."""
 
 
+def depth_of(shape: NDArray[np.bool_]) -> NDArray[np.floating]:
+    """(P, P). Distance in radii of each pixel from the edge of a shape (P, P), negative outside of it."""
+    return ndimage.gaussian_filter(depth_in(shape) - depth_in(~shape), EDGE) * PIXEL
+
+
 def form_of(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(P, P, 4). The form of a solid over a shape (P, P) that is as tall as it is wide, with half heights in radii."""
-    depth = depth_in(shape)
-    thick = _thickness(depth)
+    """(P, P, 4). The form of a solid over a shape (P, P) that is as tall as it is wide, with half heights in radii.
+    Outside it goes on as at the nearest pixel, beyond the edge."""
+    within, depth = depth_in(shape), depth_of(shape)
+    thick = _thickness(within) * PIXEL
+    way = -np.stack(np.gradient(ndimage.gaussian_filter(within, 1.0)), -1)
+    way *= (thick / np.maximum(np.linalg.norm(way, axis=-1), 0.05))[..., None]
+    if not shape.all():
+        nearest = tuple(ndimage.distance_transform_edt(~shape, return_distances=False, return_indices=True))
+        thick, way = thick[nearest], way[nearest]
     off = 1 - depth / np.maximum(thick, 1e-6)
-    way = -np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)
-    way *= (thick * PIXEL / np.maximum(np.linalg.norm(way, axis=-1), 0.05))[..., None]
-    there = shape[..., None]
-    return np.concatenate(
-        [there * (thick * PIXEL)[..., None], np.where(shape, off, 1)[..., None], there * way], -1
-    ).astype(np.float32)
+    return np.concatenate([thick[..., None], off[..., None], way], -1).astype(np.float32)
 
 
 def form_around(shape: NDArray[np.bool_], u: float, v: float) -> NDArray[np.float32]:
