@@ -172,3 +172,18 @@ def test_a_membrane_is_even_along_itself_beside_its_picture_and_as_it_is_in_it()
     assert np.abs(shown[0] - source.parts.things.read(u, v)).max() < 1e-5
     assert shown[1].std(0).max() < 0.2 * shown[0].std(0).max()
     assert np.abs(shown[1].mean(0) - shown[0].mean(0)).max() < 0.05
+
+
+def test_texture_goes_on_in_the_places_of_things() -> None:
+    """Layers are shifted, and around a core they would show where it was: a band without any texture."""
+    x = disc_grid()[0]
+    noise = np.random.default_rng(0).standard_normal((*x.shape, 3))
+    texture = ndimage.gaussian_filter(noise, (2, 2, 0)) * (np.abs(x) > 0.15)[..., None]
+    texture[np.abs(x) > 0.15] /= texture[np.abs(x) > 0.15].std()
+    field = TextureField([Disc(texture.astype(np.float32))], False, np.random.default_rng(1))
+    at = np.linspace(-0.5, 0.5, 200, dtype=np.float32)
+    contrast = []
+    for away in (0.05, 0.1, 0.5):
+        around = np.column_stack([np.full(200, away), np.zeros(200), at]).astype(np.float32)
+        contrast.append(field.at(Ball.of(around)).std())
+    assert min(contrast[:2]) > 0.7 * contrast[2]

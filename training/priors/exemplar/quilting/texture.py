@@ -103,7 +103,7 @@ class TextureField:
 
     def __init__(self, textures: Sequence[Disc], is_horizontal: bool, rng: np.random.Generator) -> None:
         """`textures`: of the pictures of one family."""
-        self.textures, self.is_horizontal = textures, is_horizontal
+        self.textures, self.is_horizontal = [_everywhere(texture) for texture in textures], is_horizontal
         self.thickness = max(LAYER * float(np.mean([_grain(t) for t in textures])), THINNEST)
         layers = int(2 * REACH / self.thickness) + 4 if is_horizontal else int(np.pi / self.thickness)
         self._turns = rng.uniform(0, 2 * np.pi, layers)
@@ -145,6 +145,19 @@ class TextureField:
             of_it = picture == n
             out[of_it] = texture.read(x[of_it], y[of_it])
         return out
+
+
+def _everywhere(texture: Disc) -> Disc:
+    """The texture, mirrored at their edges into the places of things: layers are shifted, and would have none there."""
+    missing = ~texture.rgb.any(-1) & (disc_radius() < 1)
+    if not missing.any() or missing[disc_radius() < 1].all():
+        return texture
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    at = np.argwhere(missing).T
+    across = np.clip(2 * nearest[:, *at] - at, 0, len(missing) - 1)
+    rgb = texture.rgb.copy()
+    rgb[*at] = texture.rgb[*across]
+    return Disc(rgb)
 
 
 def _grain(texture: Disc) -> float:
