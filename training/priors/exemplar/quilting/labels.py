@@ -305,13 +305,13 @@ class Label:
         out = np.empty((len(places.x), 4), np.float32)
         for n, source in enumerate(self.sources):
             rows = places.of(n, self.sources)
-            x, y, free = places.x[rows], places.y[rows], 1 - places.rind[rows]
-            away, runs = places.distance[rows], read_map(source.membranes, x, y) if source.walls else None
-            distance = away * (free if runs is None else free * (1 - runs))
+            x, y, away, free = places.x[rows], places.y[rows], places.distance[rows], 1 - places.rind[rows]
+            runs = read_map(source.membranes, x, y) if source.walls else np.zeros_like(x)
+            distance = away * (free * (1 - runs))
             if source.has_grains:
                 distance = np.where(distance < film, np.float32(0), distance)
             shown = source.relief.read(x, y, distance)
-            if source.walls and runs is not None:
+            if source.walls:
                 even = free * runs * np.minimum(away / EVEN, 1)
                 shown[:, :3] += even[:, None] * (source.walls.read(x, y) - shown[:, :3])
             out[rows] = shown
