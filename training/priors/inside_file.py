@@ -7,13 +7,13 @@ from pathlib import Path
 from engine.errors import InputError
 from engine.io.trained import inside_path, load_inside_record
 from engine.scene.inside import Inside, InsideRecord
-from training.priors.exemplar.layering.inside import LayeredInside
+from training.priors.exemplar.layering.inside import LAYERS, LayeredInside
 from training.priors.exemplar.quilting.inside import QUILT, QuiltInside
 from training.priors.exemplar.record import RecordReader
 
 __all__ = ["read_inside", "restore_inside"]
 
-KINDS: dict[str, type[LayeredInside] | type[QuiltInside]] = {"layers": LayeredInside, QUILT: QuiltInside}
+KINDS: dict[str, type[LayeredInside] | type[QuiltInside]] = {LAYERS: LayeredInside, QUILT: QuiltInside}
 
 
 def restore_inside(record: InsideRecord) -> Inside:

@@ -132,6 +132,14 @@ class Space:
         edge = middle & (self.radius > self.rim - 1.5)
         return float(self.rim[edge].std() / self.rim[edge].mean()) < ROUND
 
+    def proportions(self, basis: NDArray[np.float64]) -> float:
+        """Width over height of the widest slice across the third row of `basis` (3, 3), along the first two; by
+        standard deviations, as of a picture."""
+        planar = (self.cells - self.centre) @ basis.T
+        level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
+        width, height = planar[level == np.bincount(level).argmax(), :2].std(0)
+        return float(width / height)
+
     def widest_slice(self, along: NDArray[np.floating]) -> float:
         """Area in square cells of the largest slice across a direction; `along` (N,) are positions along it."""
         return float(np.bincount(np.round(along - along.min()).astype(int)).max())
@@ -276,6 +284,10 @@ class View:
     basis: NDArray[np.float64]
     """(3, 3). World rows: e1, e2, up for round frames; a, b, normal for a fixed one."""
     pictures: list[ScaledPicture]
+    stretch: float = 1.0
+    """Factor along the first row, and divisor along the second, with which the body is as wide for its height as the
+    first picture's face. Without it, directions in a slim body would show other parts of a square picture than its
+    sides do: level layers would bend to an hourglass."""
 
 
 def scale_to_voxels(picture: Picture, space: Space, kind: Frame, area: float) -> ScaledPicture:

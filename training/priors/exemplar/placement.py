@@ -44,6 +44,9 @@ class OwnPlane:
     places: NDArray[np.float32]
     """(PIXELS, PIXELS, 2). Where each pixel of the square is in the unit disc of a picture, x to the right and y up;
     rows from the top."""
+    proportions: float | None
+    """Width over height of the body across the family (`Space.proportions`); None if its pictures may be turned or
+    show the axis."""
     inside: NDArray[np.float32]
     """(PIXELS, PIXELS). Fraction of each pixel that is inside the body. Range [0, 1]."""
 
@@ -71,6 +74,8 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
     ball = BallMap.of(space).to_ball((points @ space.basis.T / grid.cell).astype(np.float32))
     # A level cut that is not through the ball's middle is a smaller disc, which its picture fills.
     places = Ball.of(ball).level if family.kind == "horizontal" else ball @ (space.basis @ axes.T)
+    turned = family.kind == "radial" or (family.kind == "horizontal" and space.is_round)
+    proportions = None if turned else space.proportions(np.stack([right, high, np.cross(right, high)]))
     depth = space.body.at(centre + points).astype(np.float64)
     inside = np.clip(depth * PIXELS / (2 * reach) + 0.5, 0, 1)
     corners = centre + reach * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) @ axes
@@ -80,6 +85,7 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
         centre,
         corners,
         places.reshape(PIXELS, PIXELS, 2).astype(np.float32),
+        proportions,
         inside.reshape(PIXELS, PIXELS).astype(np.float32),
     )
 
@@ -87,8 +93,12 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
 def bend_picture(picture: Picture, plane: OwnPlane) -> NDArray[np.uint8]:
     """(PIXELS, PIXELS, 4). What the body shows on a picture's own plane, with straight alpha, 0 outside of the body.
 
-    This follows the law by which training places it: each direction from the core is stretched to the body's outline.
+    This follows the law by which training places it: each direction from the core is stretched to the body's outline,
+    once the body has the picture's proportions if it cannot be turned.
     """
     x, y = np.moveaxis(plane.places, -1, 0)
+    if plane.proportions is not None:
+        angle, share = np.arctan2(y * plane.proportions, x * picture.proportions), np.hypot(x, y)
+        x, y = share * np.cos(angle), share * np.sin(angle)
     rgb = Disc.of(picture).read(x.ravel(), y.ravel()).reshape(*x.shape, 3)
     return to_8bit(np.concatenate([rgb, plane.inside[..., None]], -1))

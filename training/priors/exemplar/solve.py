@@ -93,7 +93,7 @@ def solve(
     views = [_make_view(space, family, own_pictures) for family, own_pictures in zip(families, pictures, strict=True)]
     if len(views) == 1 and views[0].kind != RADIAL and (stack := match_slices(views[0].pictures)) is not None:
         log.info("the pictures are slices of one thing, in order along %s", np.round(views[0].basis[2], 2).tolist())
-        inside = LayeredInside.of(space, Slices(Shape.of(space, views[0].basis, False), stack))
+        inside = LayeredInside.of(space, Slices(Shape.of(space, views[0]), stack))
         rgb = space.scatter(inside.at(space.points, float(space.body.grid.cell)))
         sharpen(space, rgb, views)
         return _make_volume(space, rgb, progress, inside, notes)
@@ -191,7 +191,8 @@ def _needed_cells(space: Space, families: list[Family], pictures: list[list[Pict
 def _make_view(space: Space, family: Family, pictures: list[Picture]) -> View:
     """The frame of a family and its pictures at the scale of the voxels."""
     kind, basis, area = _frame_and_area(space, family)
-    return View(kind, basis, [scale_to_voxels(p, space, kind, area) for p in pictures])
+    stretch = float(np.sqrt(pictures[0].proportions / space.proportions(basis))) if kind == FIXED else 1.0
+    return View(kind, basis, [scale_to_voxels(p, space, kind, area) for p in pictures], stretch)
 
 
 def _frame_and_area(space: Space, family: Family) -> tuple[Frame, NDArray[np.float64], float]:
@@ -228,11 +229,11 @@ def _lay_course(
     radial = kinds.index(RADIAL) if RADIAL in kinds else None
     if carrier is None:
         log.info("radial pictures alone: turned about the axis")
-        shape = Shape.of(space, space.basis, True)
+        shape = Shape.of(space, views[0])
         grain, rim = Grain.of(layers[0], [], turns=False), float(np.median(space.rim))
         return Revolution(shape, Sheet.of(layers[0][0]), grain, rim, int(rng.integers(MOST_SEED))), None
     view = views[carrier]
-    shape = Shape.of(space, view.basis, view.kind == POLAR)
+    shape = Shape.of(space, view)
     grain = Grain.of(layers[carrier], layers[radial] if radial is not None else [], turns=shape.is_round)
     way = "up" if view.kind == POLAR else "fixed"
     log.info("carried along the %s axis, texture in layers of %.2f cells", way, grain.thickness)

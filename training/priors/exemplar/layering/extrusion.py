@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.inside import InsideRecord
+from training.priors.exemplar.frames import ANGLES
 from training.priors.exemplar.layering.closed import RUNS_THROUGH
 from training.priors.exemplar.layering.core_shell import CoreShell
 from training.priors.exemplar.layering.correction import Correction
@@ -21,7 +22,7 @@ from training.priors.exemplar.layering.height_mask import HeightMask
 from training.priors.exemplar.layering.places import Places, Shape
 from training.priors.exemplar.layering.sheet import GROUND, HEIGHT, PICTURE, STRUCTURE, TEXTURE, Sheet
 from training.priors.exemplar.record import MOST_SEED, RecordReader, nested
-from training.priors.exemplar.sampling import smoothstep
+from training.priors.exemplar.sampling import read_trilinear, smoothstep
 from training.priors.exemplar.strata import beside_own, read_layers
 
 __all__ = ["Extrusion"]
@@ -30,11 +31,24 @@ WAVINESS = 0.035
 """Waviness of structures along the axis, radians: a cut along a straight membrane one voxel thick shows the grid."""
 
 
+SHARES = 17
+"""Shares of the rim at which it is known how far the picture's edge bends what lies under it."""
+
+FASTEST = 6
+"""Order from which waves of the outline fall off no faster. One of order k and relative height h folds what lies under
+it where k h > 1, so higher ones are cut at 1 / FASTEST: the notches of a crust, the legs of a body, or a slice that
+does not hold the centre."""
+
+LEAST_STRETCH = 0.1
+"""Difference in proportions between body and picture up to which texture is laid in patches of one size."""
+
+
 @dataclass(frozen=True)
 class Extrusion:
     """A picture extruded along an axis: ground and structures straight, texture in layers across it.
 
-    A point near the skin shows the picture at equal depth, a deeper one at an equal share of the slice's radius.
+    A point near the skin shows the picture at equal depth, a deeper one at about an equal share of the slice's radius:
+    where one outline has a bump that the other lacks, only what lies under it bends.
     """
 
     shape: Shape
@@ -68,7 +82,7 @@ class Extrusion:
         """(M, 3). Colours by the picture alone."""
         sheet, depth, size = self.sheet, places.depth, self.shape.inradius
         angle = self._angle(places)
-        x, y = sheet.position(angle, places.share, depth, size)
+        x, y = sheet.position(angle, self._share(places), depth, size)
         under = (
             (x, y) if self.core is None else sheet.position(angle, self._bent(places, self.core, angle), depth, size)
         )
@@ -80,7 +94,7 @@ class Extrusion:
     def structures(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """(M,) and (M,). Opacity of the structures at points, and whether they end in the body."""
         angle = self._angle(places)
-        x, y = self.sheet.position(angle, places.share, places.depth, self.shape.inradius)
+        x, y = self.sheet.position(angle, self._share(places), places.depth, self.shape.inradius)
         opacity, _, height = self._structures(places, angle, x, y)
         return opacity[:, 0], height < RUNS_THROUGH
 
@@ -121,7 +135,7 @@ class Extrusion:
 
     def position(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M,), (M,). Place of points in the picture, cells."""
-        return self.sheet.position(self._angle(places), places.share, places.depth, self.shape.inradius)
+        return self.sheet.position(self._angle(places), self._share(places), places.depth, self.shape.inradius)
 
     def _above_own(self, places: Places) -> NDArray[np.float32]:
         """(M,). Height over the own plane, cells."""
@@ -135,6 +149,27 @@ class Extrusion:
         slow, fast = self._strata.phases[0], 5 * places.share + self._strata.phases[1]
         wave = np.sin(level + slow) - np.sin(slow) + np.sin(1.7 * level + fast) - np.sin(fast)
         return places.angle + WAVINESS * wave
+
+    def _share(self, places: Places) -> NDArray[np.float32]:
+        """(M,). Share of the picture's rim at which it shows points."""
+        turn = places.angle / np.float32(2 * np.pi) % 1 * ANGLES + np.float32(0.5)
+        at = np.stack([places.level, places.share * np.float32(SHARES - 1), turn], -1)
+        return np.minimum(places.share * read_trilinear(self._evened, at)[:, 0], 1)
+
+    @cached_property
+    def _evened(self) -> NDArray[np.float32]:
+        """(L, SHARES, ANGLES + 2, 1). That share over the share of the slice's rim, by level, share and angle.
+
+        How much farther the picture's edge is than the slice's is taken inwards as a harmonic function, whose waves of
+        order k fall off as the k-th power of the share.
+        """
+        farther = np.log(self.sheet.rims / np.maximum(self.shape.rims[:, 1:-1], 0.5))
+        farther -= np.median(farther, axis=1, keepdims=True)
+        farther = np.clip(farther, -1 / FASTEST, 1 / FASTEST)
+        orders = np.minimum(np.arange(ANGLES // 2 + 1), FASTEST)
+        waves = np.fft.rfft(farther, axis=1)[:, None] * np.linspace(0, 1, SHARES)[:, None] ** orders
+        evened = np.exp(np.fft.irfft(waves, ANGLES, axis=2) - farther[:, None])
+        return np.pad(evened, ((0, 0), (0, 0), (1, 1)), mode="wrap")[..., None].astype(np.float32)
 
     @cached_property
     def _strata(self) -> Strata:
@@ -151,7 +186,7 @@ class Extrusion:
     ) -> NDArray[np.float32]:
         """(M, 3). The texture of points that show the picture at x and y."""
         sheet, grain, strata, size = self.sheet, self.grain, self._strata, self.shape.inradius
-        swing = SWING * sheet.inradius * size
+        swing, share = self._swing, self._share(places)
         upright = places.level - len(self.shape.rims) / 2
         points = np.concatenate([places.place, upright[:, None]], axis=1) / self._radius
         height = places.level / grain.thickness + strata.waves.at(points.astype(np.float32))
@@ -160,16 +195,46 @@ class Extrusion:
             out, around = strata.draw(layer)
             out = swing * grain.share_a * out
             if not self.shape.is_round:
-                return sheet.read(x[rows] + out, y[rows] + swing * grain.share_b * around, TEXTURE)
+                u, v = x[rows] + out, y[rows] + swing * grain.share_b * around
+                return self._unstretched_texture(places.place[rows], u, v, strata.draw(layer)[::-1].T / 2)
             other = angle[rows] + np.pi * grain.share_a * around
             depth = np.maximum(places.depth[rows], sheet.rind)
-            u, v = sheet.position(other, places.share[rows], depth, size)
+            u, v = sheet.position(other, share[rows], depth, size)
             # Swing less at the axis, where all directions meet.
             out *= np.minimum(np.hypot(u - sheet.middle[0], v - sheet.middle[1]) / (2 * swing), 1)
             return sheet.read(u + out * np.cos(other), v - out * np.sin(other), TEXTURE)
 
         own = sheet.read(x, y, TEXTURE)
         return beside_own(read_layers(height, read), own, self._above_own(places) / grain.thickness)
+
+    def _unstretched_texture(
+        self,
+        place: NDArray[np.float32],  # [R, 2] as in Places
+        x: NDArray[np.floating],  # [R] where the picture shows them
+        y: NDArray[np.floating],  # [R]
+        phases: NDArray[np.floating],  # [R, 2] of the patches
+    ) -> NDArray[np.float32]:
+        """(R, 3). The texture in its own proportions, though the body's are others: in patches that are each moved to
+        where the picture shows their middle."""
+        stretch = np.linalg.norm(self.shape.basis[:2], axis=1)
+        size = 2 * self._swing / np.maximum(np.abs(stretch - 1), LEAST_STRETCH)
+        at = place / (stretch * size) + phases + 0.5
+        shrink = (1 - stretch) * size
+
+        def column(across: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+            def patch(up: NDArray[np.int64], some: NDArray[np.intp]) -> NDArray[np.float32]:
+                these = rows[some]
+                right, high = (shrink * (at[these] - 0.5 - np.stack([across[some], up], -1))).T
+                return self.sheet.read(x[these] + right, y[these] - high, TEXTURE)
+
+            return read_layers(at[rows, 1], patch)
+
+        return read_layers(at[:, 0], column)
+
+    @property
+    def _swing(self) -> float:
+        """Largest shift of a layer's texture in cells."""
+        return SWING * self.sheet.inradius * self.shape.inradius
 
     def _draw_core_line(self, rgb: NDArray[np.float32], places: Places, core: CoreShell) -> None:
         """Draws the line around a core into colours (M, 3), in place."""

@@ -18,7 +18,10 @@ from training.priors.exemplar.layering.stamps import Stamps
 from training.priors.exemplar.patches import OVER
 from training.priors.exemplar.record import RecordReader, nested
 
-__all__ = ["LayeredInside"]
+__all__ = ["LAYERS", "LayeredInside"]
+
+LAYERS = "layers 2"
+"""Kind of the record. The earlier kind had the same arrays but was another inside, from which its atoms were made."""
 
 COARSEST = 16
 """How many times larger than a picture's pixels those of its coarsest version are."""
@@ -114,7 +117,7 @@ class LayeredInside:
         arrays, facts = nested(parts)
         way = next(name for name, kind in COURSES.items() if isinstance(self.course, kind))
         arrays |= {"origin": self.origin, "grid_centre": self.grid_centre}
-        return arrays, facts | {"kind": "layers", "way": way, "cell": self.cell}
+        return arrays, facts | {"kind": LAYERS, "way": way, "cell": self.cell}
 
     @classmethod
     def restored(cls, record: RecordReader) -> LayeredInside:

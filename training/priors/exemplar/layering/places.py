@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.inside import InsideRecord
-from training.priors.exemplar.frames import ANGLES, MIN_SLICE_SHARE, Space, read_rims, rim_table
+from training.priors.exemplar.frames import ANGLES, MIN_SLICE_SHARE, Space, View, read_rims, rim_table
+from training.priors.exemplar.patches import FIXED
 from training.priors.exemplar.record import RecordReader
 from training.priors.exemplar.sampling import read_trilinear
 
@@ -37,7 +38,8 @@ class Places:
     height: NDArray[np.float32]
     """(M,). Height along the up axis, range [-1, 1] over the body."""
     place: NDArray[np.float32]
-    """(M, 2). Position in a slice across the axis that a picture is carried along, from the slices' common centre."""
+    """(M, 2). Position in a slice across the axis that a picture is carried along, from the slices' common centre; in
+    the proportions of that picture."""
     away: NDArray[np.float32]
     """(M,). Distance from that centre."""
     rim: NDArray[np.float32]
@@ -72,7 +74,8 @@ class Shape:
     up_basis: NDArray[np.float64]
     """(3, 3). Rows e1, e2, up."""
     basis: NDArray[np.float64]
-    """(3, 3). Rows: two directions in a slice, and the direction of the axis that a picture is carried along."""
+    """(3, 3). Rows: two directions in a slice, scaled so that it has the proportions of the picture, and the direction
+    of the axis that the picture is carried along."""
     is_round: bool
     """Whether slices may be rotated: a round outline does not fix the angle."""
     lowest: float
@@ -87,8 +90,9 @@ class Shape:
     """(X, Y, Z). Depth under the skin at every DEPTH_STEP cells, negative outside."""
 
     @classmethod
-    def of(cls, space: Space, basis: NDArray[np.float64], is_round: bool) -> Shape:
-        """The shape of a space for pictures carried along the third row of `basis` (3, 3)."""
+    def of(cls, space: Space, view: View) -> Shape:
+        """The shape of a space for pictures of a view."""
+        basis = view.basis * np.array([[view.stretch], [1 / view.stretch], [1]])
         planar = ((space.cells - space.centre) @ basis.T).astype(np.float32)
         lowest = planar[:, 2].min()
         rims = rim_table(planar, np.hypot(planar[:, 0], planar[:, 1]))
@@ -102,8 +106,8 @@ class Shape:
             space.widest,
             space.half_height,
             space.basis,
-            np.asarray(basis, np.float64),
-            is_round,
+            basis,
+            view.kind != FIXED,
             float(lowest),
             rims.astype(np.float32),
             bool(smaller > FLAT_END_SHARE * areas.max()),
