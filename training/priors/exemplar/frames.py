@@ -140,6 +140,14 @@ class Space:
         width, height = planar[level == np.bincount(level).argmax(), :2].std(0)
         return float(width / height)
 
+    @property
+    def axial_proportions(self) -> float:
+        """Width over height of the cuts through the axis, by standard deviations; the mean of all directions."""
+        share = 1 / np.maximum(self.radius, 0.5)  # of a voxel in a cut, as cuts crowd at the axis
+        width = np.average(np.square(self.radius), weights=share)
+        height = np.average(np.square(self.planar[:, 2] - np.average(self.planar[:, 2], weights=share)), weights=share)
+        return float(np.sqrt(width / height))
+
     def widest_slice(self, along: NDArray[np.floating]) -> float:
         """Area in square cells of the largest slice across a direction; `along` (N,) are positions along it."""
         return float(np.bincount(np.round(along - along.min()).astype(int)).max())

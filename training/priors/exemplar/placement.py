@@ -44,9 +44,8 @@ class OwnPlane:
     places: NDArray[np.float32]
     """(PIXELS, PIXELS, 2). Where each pixel of the square is in the unit disc of a picture, x to the right and y up;
     rows from the top."""
-    proportions: float | None
-    """Width over height of the body across the family (`Space.proportions`); None if its pictures may be turned or
-    show the axis."""
+    squared: bool
+    """Whether pictures are made as wide as high first, as the body is for `places`: those that may not be turned."""
     inside: NDArray[np.float32]
     """(PIXELS, PIXELS). Fraction of each pixel that is inside the body. Range [0, 1]."""
 
@@ -71,11 +70,18 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
     steps = ((np.arange(PIXELS) + 0.5) / PIXELS * 2 - 1) * reach
     x, y = np.meshgrid(steps, -steps)
     points = np.stack([x, y], -1).reshape(-1, 2) @ axes
-    ball = BallMap.of(space).to_ball((points @ space.basis.T / grid.cell).astype(np.float32))
+    ball = BallMap.of(space)
+    at = ball.to_ball((points @ space.basis.T / grid.cell).astype(np.float32))
     # A level cut that is not through the ball's middle is a smaller disc, which its picture fills.
-    places = Ball.of(ball).level if family.kind == "horizontal" else ball @ (space.basis @ axes.T)
-    turned = family.kind == "radial" or (family.kind == "horizontal" and space.is_round)
-    proportions = None if turned else space.proportions(np.stack([right, high, np.cross(right, high)]))
+    places = Ball.of(at).level if family.kind == "horizontal" else at @ (space.basis @ axes.T)
+    squared = family.kind != "horizontal" or not space.is_round
+    if squared and family.kind != "radial":
+        proportions = space.proportions(np.stack([right, high, np.cross(right, high)]))
+        share = np.linalg.norm(places, axis=1, keepdims=True)
+        if family.kind != "horizontal":
+            places = at / ball.stretch @ (space.basis @ axes.T)
+        places = places * [1, proportions]
+        places = share * places / np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-6)
     depth = space.body.at(centre + points).astype(np.float64)
     inside = np.clip(depth * PIXELS / (2 * reach) + 0.5, 0, 1)
     corners = centre + reach * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) @ axes
@@ -85,7 +91,7 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
         centre,
         corners,
         places.reshape(PIXELS, PIXELS, 2).astype(np.float32),
-        proportions,
+        squared,
         inside.reshape(PIXELS, PIXELS).astype(np.float32),
     )
 
@@ -94,11 +100,8 @@ def bend_picture(picture: Picture, plane: OwnPlane) -> NDArray[np.uint8]:
     """(PIXELS, PIXELS, 4). What the body shows on a picture's own plane, with straight alpha, 0 outside of the body.
 
     This follows the law by which training places it: each direction from the core is stretched to the body's outline,
-    once the body has the picture's proportions if it cannot be turned.
+    once both have the same proportions if the picture may not be turned.
     """
     x, y = np.moveaxis(plane.places, -1, 0)
-    if plane.proportions is not None:
-        angle, share = np.arctan2(y * plane.proportions, x * picture.proportions), np.hypot(x, y)
-        x, y = share * np.cos(angle), share * np.sin(angle)
-    rgb = Disc.of(picture).read(x.ravel(), y.ravel()).reshape(*x.shape, 3)
+    rgb = Disc.of(picture, plane.squared).read(x.ravel(), y.ravel()).reshape(*x.shape, 3)
     return to_8bit(np.concatenate([rgb, plane.inside[..., None]], -1))

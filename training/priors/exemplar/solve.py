@@ -68,10 +68,10 @@ def solve(
 ) -> Volume:
     """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
 
-    It has fewer cells if the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Pictures of a round body that disagree
-    where they meet, or show a core that ends, are quilted, unless they show the `same` thing; so is a single family
-    that shows things close together, which no layer can continue. All others continue layer by layer. Raises InputError
-    if no family has an exemplar or a picture cannot be used.
+    It has fewer cells if the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Horizontal and radial pictures that
+    disagree where they meet, or show a core that ends, are quilted, unless they show the `same` thing; so is one of
+    these families that shows things close together, which no layer can continue. All others continue layer by layer.
+    Raises InputError if no family has an exemplar or a picture cannot be used.
     """
     families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
     if not families:
@@ -98,10 +98,12 @@ def solve(
         sharpen(space, rgb, views)
         return _make_volume(space, rgb, progress, inside, notes)
     discs: dict[Frame, list[Disc]] = {}
-    if space.is_round and {view.kind for view in views} <= {POLAR, RADIAL}:
-        discs, ball = _discs(views, taken), BallMap.of(space)  # in their own light, which is part of the question
+    if {family.kind for family in families} <= {"horizontal", "radial"}:
+        across = next((view.stretch for view in views if view.kind != RADIAL), 1.0)
+        ball = BallMap.of(space, across)
+        discs = _discs(views, taken)  # in their own light, which is part of the question
         if len(views) == 1:
-            kind = views[0].kind
+            kind = RADIAL if views[0].kind == RADIAL else POLAR
             is_quilted = made_of_grains(discs[kind][0], kind == POLAR)
         else:
             is_quilted = not same and (
@@ -132,9 +134,12 @@ def solve(
 
 
 def _discs(views: list[View], pictures: list[list[Picture]]) -> dict[Frame, list[Disc]]:
-    """The pictures of both frames of a round body as unit discs; an empty list for a frame that is not among the
-    views."""
-    own = {view.kind: [Disc.of(p) for p in some] for view, some in zip(views, pictures, strict=True)}
+    """The horizontal pictures as unit discs under POLAR, though the body may not be round, and the radial ones under
+    RADIAL; an empty list for those that are not among the views."""
+    own = {
+        RADIAL if view.kind == RADIAL else POLAR: [Disc.of(p, view.kind == RADIAL) for p in some]
+        for view, some in zip(views, pictures, strict=True)
+    }
     return {kind: own.get(kind, []) for kind in (POLAR, RADIAL)}
 
 

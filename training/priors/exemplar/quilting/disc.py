@@ -105,15 +105,20 @@ class Disc:
     """(DISC_PIXELS, DISC_PIXELS, 3), indexed [x, y] with y upwards, over [-REACH, REACH]."""
 
     @classmethod
-    def of(cls, picture: Picture) -> Disc:
-        """The face of a picture. Its middle is the core, or the mask's centroid."""
+    def of(cls, picture: Picture, squared: bool) -> Disc:
+        """The face of a picture. Its middle is the core, or the mask's centroid.
+
+        `squared`: whether it is first made as wide as high, with which level lines stay level. Pictures that may be
+        turned are not.
+        """
+        wide = picture.proportions**0.5 if squared else 1.0
         rows, columns = np.nonzero(picture.mask)
         row, column = rows.mean(), columns.mean()
         if picture.core is not None:
             column, row = picture.core[0] - 0.5, picture.core[1] - 0.5
         angles = np.arange(DIRECTIONS) / DIRECTIONS * 2 * np.pi
-        reach = np.arange(0, np.hypot(*picture.mask.shape), 0.5)
-        at = [row - reach[:, None] * np.sin(angles), column + reach[:, None] * np.cos(angles)]
+        reach = np.arange(0, np.hypot(*picture.mask.shape) * max(wide, 1 / wide), 0.5)
+        at = [row - reach[:, None] * np.sin(angles) / wide, column + reach[:, None] * np.cos(angles) * wide]
         hit = ndimage.map_coordinates(picture.mask.astype(np.float32), at, order=1) > 0.5
         rim = reach[len(reach) - 1 - np.argmax(hit[::-1], axis=0)]
         rim = ndimage.gaussian_filter1d(ndimage.median_filter(rim, 13, mode="wrap"), 3, mode="wrap")
@@ -122,7 +127,7 @@ class Disc:
         r = np.interp(angle, angles, rim, period=2 * np.pi) * np.minimum(disc_radius(), RIM)
         sigma = max(0.5 * rim.mean() * 2 * REACH / DISC_PIXELS - 0.4, 0.0)  # against aliasing
         rgb = blurred(picture.rgb, sigma)
-        found = read_as_scipy(rgb, row - r * np.sin(angle), column + r * np.cos(angle))
+        found = read_as_scipy(rgb, row - r * np.sin(angle) / wide, column + r * np.cos(angle) * wide)
         return cls.of_bytes(np.round(found * 255).astype(np.uint8))  # as fine as a file stores it
 
     @classmethod
@@ -337,27 +342,33 @@ def evened(disc: Disc, is_horizontal: bool, hidden: NDArray[np.bool_] | None = N
 
 @dataclass(frozen=True)
 class BallMap:
-    """A body as the unit ball: each direction from the middle is stretched to the skin.
+    """A body as the unit ball: once it is as high as wide, each direction from the middle is stretched to the skin.
 
     The middle is the centroid of the cuts through the axis, as a picture's middle is its centroid: if it were half way
-    up, a body that is wider above would show its pictures shifted.
+    up, a body that is wider above would show its pictures shifted. If a long body were not made as high as wide first,
+    what runs along its axis would be an hourglass.
     """
 
     rise: float
     """Cells from half way up the body to the middle."""
+    stretch: NDArray[np.float64]
+    """(3,). Factors along e1, e2 and up, with which the body is as high as wide, and a level cut of a body that is not
+    round has the proportions of its picture."""
     skin: NDArray[np.float64]
-    """(LATITUDES + 2, LONGITUDES + 2). Distance of the skin from the middle in cells, with a margin on each side."""
+    """(LATITUDES + 2, LONGITUDES + 2). Distance of the skin from the middle in cells once the body is stretched, with a
+    margin on each side."""
 
     @classmethod
-    def of(cls, space: Space) -> BallMap:
-        """The map of a body."""
+    def of(cls, space: Space, across: float = 1.0) -> BallMap:
+        """The map of a body; with the factor `across` along e1, and its inverse along e2."""
+        factors = np.array([across, 1 / across, space.axial_proportions])
         along = 1 / np.maximum(space.radius, 0.5)  # a cut's share of a voxel, as cuts crowd at the axis
         rise = float((space.planar[:, 2] * along).sum() / along.sum())
         latitude = ((np.arange(LATITUDES) + 0.5) / LATITUDES - 0.5) * np.pi
         longitude = (np.arange(LONGITUDES) + 0.5) / LONGITUDES * 2 * np.pi
         b, a = np.meshgrid(latitude, longitude, indexing="ij")
-        rays = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1) @ space.basis
-        farthest = lengths(space.planar - np.array([0, 0, rise])).max()
+        rays = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1) / factors @ space.basis
+        farthest = lengths((space.planar - np.array([0, 0, rise])) * factors).max()
         skin = np.zeros(b.shape)
         outside = np.ones(b.shape, bool)  # so far on the way in
         for reach in np.arange(0, farthest + 2, 0.5)[::-1]:
@@ -367,16 +378,16 @@ class BallMap:
             outside[outside] = ~met
         skin = np.pad(np.maximum(skin, 1.0), ((1, 1), (1, 1)), mode="edge")
         skin[:, 0], skin[:, -1] = skin[:, -2], skin[:, 1]
-        return cls(rise, ndimage.gaussian_filter(skin, 0.7))
+        return cls(rise, factors, ndimage.gaussian_filter(skin, 0.7))
 
     @property
     def height(self) -> float:
         """Height in the ball of the plane half way up the body."""
-        return -self.rise / float(self.skin[LATITUDES // 2].mean())
+        return -self.rise * float(self.stretch[2]) / float(self.skin[LATITUDES // 2].mean())
 
     def to_ball(self, planar: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Points of the ball for points (M, 3) along e1, e2 and up from half way up the axis, in cells."""
-        planar = planar - np.array([0, 0, self.rise], np.float32)
+        planar = (planar - np.array([0, 0, self.rise], np.float32)) * self.stretch.astype(np.float32)
         distance = np.linalg.norm(planar, axis=1)
         up = np.arcsin(np.clip(planar[:, 2] / np.maximum(distance, 1e-6), -1, 1))
         around = np.arctan2(planar[:, 1], planar[:, 0]) % (2 * np.pi)

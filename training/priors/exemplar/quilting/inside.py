@@ -114,7 +114,7 @@ class QuiltInside:
         arrays: dict[str, NDArray[Any]] = {
             name: np.stack([disc.to_bytes() for disc in discs]) for name, discs in families if discs
         }
-        arrays |= {"chosen": self.quilt.chosen.astype(np.uint8), "skin": self.ball.skin}
+        arrays |= {"chosen": self.quilt.chosen.astype(np.uint8), "skin": self.ball.skin, "stretch": self.ball.stretch}
         arrays |= {"origin": self.origin, "basis": self.basis}
         return arrays, {"kind": QUILT, "seed": self.seed, "rise": self.ball.rise, "cell": self.cell}
 
@@ -130,7 +130,10 @@ class QuiltInside:
             raise ValueError("no pictures, or too many")
         horizontal, radial = ([Disc.of_bytes(rgb) for rgb in families.get(name, ())] for name in FAMILIES)
         chosen, seed = record.array("chosen", np.uint8, (None,)), record.count("seed", MOST_SEED)
-        ball = BallMap(record.number("rise"), skin)
+        stretch = record.array("stretch", np.float64, (3,))
+        if stretch.min() <= 0:
+            raise ValueError("a wrong stretch")
+        ball = BallMap(record.number("rise"), stretch, skin)
         origin, basis = record.array("origin", np.float64, (3,)), record.array("basis", np.float64, (3, 3))
         cell = record.number("cell", 1e-12)
         quilt = restore_quilt(horizontal, radial, seed, ball.height, chosen.astype(np.int32))
