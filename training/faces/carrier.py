@@ -19,29 +19,14 @@ from engine.errors import InputError
 from engine.solid.distance_transform import depth_in
 from training.faces.background import Background, find_background, find_main_surface, find_pattern, is_patterned
 from training.faces.completion import NEAR_BORDER, find_oval
+from training.faces.edges import BARE, HALF, SKINNED, THIRD_COLOUR, nearest, skin_share
 from training.faces.outline import find_mask, is_dimmed_around, largest_component
-from training.faces.shadow import SECTORS, SHADE, light_around, sectors_of
+from training.faces.shadow import SHADE, light_around
 
-__all__ = ["SeenFace", "find_seen_face", "skin_share"]
+__all__ = ["SeenFace", "find_seen_face"]
 
 LEVELS = 3
 """Number of stacked carriers that are looked through: a slice on a plate on a board on a table."""
-
-BARE, HALF, SKINNED = 0.25, 0.5, 0.75
-"""Fractions of an outline that have a third colour: below the first it may be a carrier's, below the second the user is
-told, and from the last it is a skin. The side of a board or the rim of a dish shows on one side of it, a skin all
-around: on 0.81 and more in 26 photographs, but for one whose mask leaves the skin out."""
-
-THIRD_COLOUR = 0.05
-"""RGB distance from all mixtures of two colours that makes a third. For plates and boards the distance is 0.01, by
-noise of 3 8-bit steps and JPEG's; for the skins of 29 photographs it is 0.13 and more."""
-
-SKIN, FLESH = 0.05, (0.06, 0.12)
-"""How deep a skin is looked for, and the depths from which the flesh under it is learnt, as fractions of the face's
-diameter. Most rinds are thicker: then the lens and the outermost peel are the third colour."""
-
-BEHIND = 4.0, 0.06
-"""Distances between which what is behind a face is learnt: in pixels, and as a fraction of the face's diameter."""
 
 RIM = 0.025
 """Width of a carrier's edge, which is neither plate nor table, as a fraction of its diameter."""
@@ -150,31 +135,6 @@ _BARE = (
 _MAY_BE = f"what was found may be a plate or board with the cut face on it; {_LOOK}"
 
 
-def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
-    """The fraction of the outline of a thing (H, W) in a picture (H, W, 3) that has a third colour between the thing
-    and what is behind it. Range [0, 1]."""
-    depth, away = depth_in(mask), depth_in(~mask)
-    across = np.sqrt(4 / np.pi * mask.sum())
-    flesh = (depth > FLESH[0] * across) & (depth < FLESH[1] * across)
-    behind = (away > BEHIND[0]) & (away < max(2 * BEHIND[0], BEHIND[1] * across))
-    if not flesh.any() or not behind.any():
-        return 0.0
-    smooth = ndimage.gaussian_filter(rgb, (2, 2, 0))
-    band = (depth <= SKIN * across) & (away <= 1.5)
-    at = np.nonzero(band)
-    ends = [smooth[tuple(place[at] for place in _nearest(where))] for where in (flesh, behind)]
-    third = _from_mixtures(ndimage.gaussian_filter(rgb, (1, 1, 0))[at], *ends)
-    layer = np.round(depth[at]).astype(int)
-    sector = sectors_of(mask, at)
-    shape = SECTORS, int(layer.max()) + 1
-    total, count = np.zeros(shape), np.zeros(shape)
-    np.add.at(total, (sector, layer), third)
-    np.add.at(count, (sector, layer), 1)
-    # A skin lies at one depth; one or two pixels are too few for a mean.
-    most = np.where(count > 2, total / np.maximum(count, 1), 0).max(1)
-    return float((most > THIRD_COLOUR).mean())
-
-
 def _on_what_crosses_the_border(rgb: NDArray[np.float32], plain: Background | None) -> NDArray[np.bool_] | None:
     """(H, W). The face on a ground that covers no corner of the picture, or that is itself only partly seen beside a
     `plain` background; None if nothing on it both has a skin and throws a shadow: what is found may be the seeds of a
@@ -281,29 +241,6 @@ def _shadow(rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDArray[
     return float(max(1 - left.var() / max(around.lights.var(), 1e-9), 1e-6))
 
 
-def _from_mixtures(
-    colours: NDArray[np.float32], first: NDArray[np.float32], second: NDArray[np.float32]
-) -> NDArray[np.float64]:
-    """(N,). RGB distance of colours (N, 3) from the nearest sum of any amounts of two others (N, 3), which is what a
-    lens mixes from two surfaces in any light."""
-    a, b, p = (c.astype(np.float64) for c in (first, second, colours))
-    aa, bb, ab, pa, pb = ((u * v).sum(-1) for u, v in ((a, a), (b, b), (a, b), (p, a), (p, b)))
-    size = aa * bb - ab * ab
-    plane = size > 1e-4 * aa * bb + 1e-9  # two colours of one hue span no plane
-    of_a, of_b = (pa * bb - pb * ab) / np.where(plane, size, 1), (pb * aa - pa * ab) / np.where(plane, size, 1)
-    alone = [
-        np.linalg.norm(p - (np.maximum(pc, 0) / np.maximum(cc, 1e-9))[:, None] * c, axis=-1)
-        for c, cc, pc in ((a, aa, pa), (b, bb, pb))
-    ]
-    both = np.linalg.norm(p - of_a[:, None] * a - of_b[:, None] * b, axis=-1)
-    return np.where(plane & (of_a >= 0) & (of_b >= 0), both, np.minimum(*alone))
-
-
 def _alone(rgb: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(H, W, 3). The picture with the nearest colour of a region (H, W) outside it."""
-    return rgb[tuple(_nearest(region))]
-
-
-def _nearest(known: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """(2, H, W). Row and column of the nearest place that is `known` (H, W)."""
-    return ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return rgb[tuple(nearest(region))]

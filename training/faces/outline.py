@@ -19,7 +19,7 @@ from engine.solid.distance_transform import depth_in
 from training.faces.background import Background, find_background
 from training.faces.bulges import without_bulges
 from training.faces.completion import find_oval
-from training.faces.edges import EDGE_GAIN, MIXED, edge_cost, edge_strength, rims_apart
+from training.faces.edges import BARE, EDGE_GAIN, HALF, MIXED, edge_cost, edge_strength, nearest, rims_apart, skin_share
 from training.faces.shadow import SECTORS, SHADE, light_around
 from training.faces.side import without_side
 
@@ -123,7 +123,11 @@ def find_mask(
 def _trace(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(H, W). The face, traced from a first guess (H, W)."""
     moved = _move_to_edges(rgb, _grab_cut(rgb, guess))
-    return _settle_mixed_pixels(rgb, without_side(rgb, without_bulges(rgb, moved)))
+    mask = _settle_mixed_pixels(rgb, without_side(rgb, without_bulges(rgb, moved)))
+    # A coat nearly in the colour of the table, such as cream on white, is nearer to it than to the face.
+    if mask.any() and skin_share(rgb, mask) < BARE and skin_share(rgb, guess) > HALF:
+        return _settle_mixed_pixels(rgb, guess)
+    return mask
 
 
 def is_dimmed_around(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> bool:
@@ -258,8 +262,7 @@ def _depth(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
 
 def _nearest(rgb: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(H, W, 3). The picture with every pixel that is not `known` replaced by the nearest one that is."""
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return rgb[nearest[0], nearest[1]]
+    return rgb[tuple(nearest(known))]
 
 
 def _solidity(mask: NDArray[np.bool_]) -> float:

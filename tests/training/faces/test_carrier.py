@@ -14,7 +14,8 @@ from scipy import ndimage
 from benchmarks.photographs.faces import mask_iou
 from engine.errors import InputError
 from tests.paths import SHARED
-from training.faces.carrier import find_seen_face, skin_share
+from training.faces.carrier import find_seen_face
+from training.faces.edges import skin_share
 
 SIZE = 192
 FOLDER = SHARED / "photos/fruit"

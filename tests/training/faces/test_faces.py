@@ -15,6 +15,8 @@ from scipy import ndimage
 
 from benchmarks.photographs.faces import axis_error, mask_iou
 from engine.errors import InputError
+from sample_scenes.exemplars import SUPERSAMPLE, crop, planes
+from sample_scenes.solids import SOLIDS
 from tests.helpers.exemplar_faces import disc, save
 from tests.paths import SAMPLES, SHARED
 from training.faces.axis import guess_cut
@@ -197,3 +199,11 @@ def test_a_mask_beside_the_photograph_wins(tmp_path: Path) -> None:
     Image.fromarray(half[:50]).save(tmp_path / "melon.mask.png")
     with pytest.raises(InputError, match=r"melon\.mask\.png: 120x50 pixels, but melon\.png has 120x120"):
         find_face(path)
+
+
+def test_a_coat_nearly_as_white_as_the_table_is_the_face() -> None:
+    """Cream is nearer in colour to the table than to the cake, which has the stronger edge."""
+    cake = SOLIDS["cake"](0)
+    plane = planes(cake, "radial")[0]
+    rgb, inside = cake.slice(plane, crop(cake, plane, 512), supersample=SUPERSAMPLE)
+    assert mask_iou(find_mask(rgb.astype(np.float32), "cake"), np.asarray(inside) > 0.5) > 0.97
