@@ -76,7 +76,7 @@ def trained(name: str, detail: DetailName, folder: Path) -> tuple[Path, tuple[fl
         request = Request(scene.scene, families, detail, scene.solid.up)
         path = run(request, out, Reporter(), False, lambda: False)
     (pictures,) = (family.exemplars for family in scene.families if family.kind == "horizontal")
-    return path, scene.solid.up, Disc.of(read_picture(pictures[0], "horizontal"), False)
+    return path, scene.solid.up, Disc.of(read_picture(pictures[0], "horizontal"))
 
 
 def views(atoms: Atoms, plane: Plane, up: NDArray[np.float64], size: int, zooms: tuple[float, ...]) -> list[Camera]:

@@ -14,7 +14,6 @@ from engine.scene.grid import Body, Grid
 from tests.paths import SHARED
 from training.faces.marks import Marks
 from training.faces.polygon import mask_polygon
-from training.families import Kind
 from training.priors.exemplar.pictures import read_picture
 from training.priors.exemplar.quilting.disc import Disc
 
@@ -58,5 +57,4 @@ def photograph(name: str) -> Disc:
     if not folder.exists():
         pytest.skip("the photographs are not beside the repository")
     face = Marks(outline=mask_polygon(read_pixels(folder / f"masks/{name}.png")[..., 0] > 127))
-    kind: Kind = "horizontal" if "_h" in name else "radial"
-    return Disc.of(read_picture(folder / f"{name}.png", kind, face), kind == "radial")
+    return Disc.of(read_picture(folder / f"{name}.png", "horizontal" if "_h" in name else "radial", face))

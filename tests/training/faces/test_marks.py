@@ -47,7 +47,7 @@ def test_the_core_that_is_given_is_the_middle_of_the_disc(tmp_path: Path) -> Non
     path = marked(tmp_path, *spot)
     for marks, radius in ((Marks(core=spot), 0.0), (UNMARKED, np.hypot(0.1, 0.08) / 0.4)):
         picture = read_picture(path, "horizontal", marks)
-        dark = Disc.of(picture, False).rgb.sum(-1) < 0.5 * FLESH.sum()
+        dark = Disc.of(picture).rgb.sum(-1) < 0.5 * FLESH.sum()
         size = dark.shape[0]
         x, y = ((np.argwhere(dark).mean(0) + 0.5) / size * 2 - 1) * 1.1
         assert abs(np.hypot(x, y) - radius) < 0.04  # the spot is stretched towards the farther side of the rim

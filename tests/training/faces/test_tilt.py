@@ -33,7 +33,7 @@ def remaining_error(degrees: float, marked: bool) -> NDArray[np.float64]:
     mask = tilted[..., 2] > 0.5
     code = fill_outside(np.dstack([tilted[..., :2], 0 * mask]).astype(np.float32) / np.float32(SIZE), mask)
     core = (SIZE / 2, SIZE / 2) if marked else find_core(mask)
-    disc = Disc.of(Picture(Path("tilted.png"), code, mask, core), False).rgb[..., :2] * SIZE - SIZE / 2
+    disc = Disc.of(Picture(Path("tilted.png"), code, mask, core)).rgb[..., :2] * SIZE - SIZE / 2
     u, v = disc_grid()
     wrong = np.hypot(disc[..., 0] / RADIUS - u, disc[..., 1] / RADIUS + v)  # rows go down
     return wrong[np.hypot(u, v) < 0.95]

@@ -9,10 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from engine.scene.grid import Body, Grid
-from tests.helpers.exemplar_faces import UP, quiet, save
+from tests.helpers.exemplar_faces import UP, disc, quiet, save
 from training.families import Family
 from training.priors.exemplar import ExemplarPrior, read_picture
+from training.priors.exemplar.frames import make_space, upright_factor
 from training.priors.exemplar.placement import bend_picture, find_own_plane
+from training.priors.exemplar.quilting.disc import BallMap
+from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.prior import Volume
 
 CREAM, CRUMB = np.array([0.95, 0.9, 0.8]), np.array([0.4, 0.05, 0.1])
@@ -93,3 +96,42 @@ def test_the_preview_shows_the_own_plane(half: NDArray[np.float64], tmp_path: Pa
     deep = (half - np.abs(points)).min(1) > 0.06
     apart = np.abs(volume.inside.at(points[deep], 0.01) - bent[rows, columns, :3][deep]).mean()
     assert apart < 0.06
+
+
+def ellipsoid(half: NDArray[np.float64], n: int = 40) -> Body:
+    """An ellipsoid of these half axes, the largest of which is 1; its depth is right at the skin."""
+    cell = 2 / n
+    shape = tuple(int(k) for k in np.round(half * n) + 8)
+    grid = Grid(-np.array(shape) * cell / 2, cell, (shape[0], shape[1], shape[2]))
+    share = np.linalg.norm(grid.centres() / half, axis=-1)
+    slope = np.linalg.norm(grid.centres() / half**2, axis=-1)
+    return Body(grid, (share * (1 - share) / np.maximum(slope, 1e-3)).astype(np.float32))
+
+
+def test_the_ball_of_a_long_body_is_its_affine_image() -> None:
+    """Or what runs along its axis, a column in the ball, would be an hourglass in it."""
+    half = np.array([0.35, 0.35, 1.0])
+    space = make_space(ellipsoid(half, 80), UP, 128)
+    up = upright_factor(space.axial_proportions, 1.0)
+    assert up == pytest.approx(0.35, rel=0.05)
+    points = space.points[space.depth > 0.05]
+    image = BallMap.of(space, up=up).to_ball(space.planar[space.depth > 0.05])
+    assert np.abs(image - points / half).max() < 0.08
+
+
+def test_nearly_the_same_proportions_are_the_same() -> None:
+    """Directions from the middle are kept then, as they are compared in photographs."""
+    assert [upright_factor(ratio, 1.0) for ratio in (0.75, 1.0, 1.4)] == [1, 1, 1]
+    factors = [upright_factor(ratio, 1.0) for ratio in np.linspace(1.4, 2.2, 30)]
+    assert np.diff(factors).min() >= 0
+    assert np.diff(factors).max() < 0.15
+    assert upright_factor(2.0, 0.8) == pytest.approx(2.5)
+
+
+def test_pictures_of_two_things_are_quilted_in_an_oval_body(tmp_path: Path) -> None:
+    melon, _ = disc(seeds=8)
+    other = np.where((melon == 1).all(-1, keepdims=True), melon, melon[..., [1, 0, 2]])
+    pictures = save(tmp_path / "melon.png", melon), save(tmp_path / "other.png", other)
+    families = [Family("horizontal", 8, pictures[:1]), Family("radial", 8, pictures[1:])]
+    volume = ExemplarPrior().solve(ellipsoid(np.array([1.0, 0.7, 0.9]), 24), UP, families, 32, 0, quiet)
+    assert isinstance(volume.inside, QuiltInside)

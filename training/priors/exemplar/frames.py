@@ -17,7 +17,7 @@ from engine.scene.grid import Body, Grid
 from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, fill_outside
-from training.priors.exemplar.sampling import read_as_scipy, read_bilinear
+from training.priors.exemplar.sampling import read_as_scipy, read_bilinear, smoothstep
 
 __all__ = [
     "ANGLES",
@@ -37,6 +37,7 @@ __all__ = [
     "rim_table",
     "scale_picture",
     "scale_to_voxels",
+    "upright_factor",
     "voxel_gate",
 ]
 
@@ -60,6 +61,11 @@ MIN_SLICE_SHARE = 0.02
 
 ROUND = 0.09
 """Largest relative standard deviation of the rim of a round body: that of an ellipse of ratio 1.3."""
+
+ALIKE, OTHER = 1.45, 2.0
+"""Ratio up to which a radial picture and a body are taken to have the same proportions, and from which they have others
+altogether. A picture shows another individual, or one cut aslant: of seven pictures of apples, oranges and melons on
+scans of the kind the ratios are 0.70 to 1.23, and their directions from the middle agree better than their heights."""
 
 Frame = int
 """POLAR, RADIAL or FIXED (see `patches`)."""
@@ -151,6 +157,13 @@ class Space:
     def widest_slice(self, along: NDArray[np.floating]) -> float:
         """Area in square cells of the largest slice across a direction; `along` (N,) are positions along it."""
         return float(np.bincount(np.round(along - along.min()).astype(int)).max())
+
+
+def upright_factor(body: float, picture: float) -> float:
+    """The factor along the axis that brings a body of this width over height to a radial picture's, unless they are
+    nearly the same."""
+    ratio = body / picture
+    return float(ratio ** smoothstep((abs(np.log(ratio)) - np.log(ALIKE)) / np.log(OTHER / ALIKE)))
 
 
 def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:

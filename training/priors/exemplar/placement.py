@@ -11,7 +11,7 @@ from engine.scene.grid import Body
 from engine.scene.image import to_8bit
 from engine.scene.plane import Plane
 from training.families import Family, Kind
-from training.priors.exemplar.frames import make_space
+from training.priors.exemplar.frames import make_space, upright_factor
 from training.priors.exemplar.pictures import Picture
 from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.disc import BallMap, Disc
@@ -44,8 +44,8 @@ class OwnPlane:
     places: NDArray[np.float32]
     """(PIXELS, PIXELS, 2). Where each pixel of the square is in the unit disc of a picture, x to the right and y up;
     rows from the top."""
-    squared: bool
-    """Whether pictures are made as wide as high first, as the body is for `places`: those that may not be turned."""
+    proportions: float | None
+    """Width over height of the body in the family's cuts; None if its pictures may be turned."""
     inside: NDArray[np.float32]
     """(PIXELS, PIXELS). Fraction of each pixel that is inside the body. Range [0, 1]."""
 
@@ -70,18 +70,14 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
     steps = ((np.arange(PIXELS) + 0.5) / PIXELS * 2 - 1) * reach
     x, y = np.meshgrid(steps, -steps)
     points = np.stack([x, y], -1).reshape(-1, 2) @ axes
-    ball = BallMap.of(space)
-    at = ball.to_ball((points @ space.basis.T / grid.cell).astype(np.float32))
+    ball = BallMap.of(space).to_ball((points @ space.basis.T / grid.cell).astype(np.float32))
     # A level cut that is not through the ball's middle is a smaller disc, which its picture fills.
-    places = Ball.of(at).level if family.kind == "horizontal" else at @ (space.basis @ axes.T)
-    squared = family.kind != "horizontal" or not space.is_round
-    if squared and family.kind != "radial":
+    places = Ball.of(ball).level if family.kind == "horizontal" else ball @ (space.basis @ axes.T)
+    proportions = None
+    if family.kind == "radial":
+        proportions = space.axial_proportions
+    elif family.kind != "horizontal" or not space.is_round:
         proportions = space.proportions(np.stack([right, high, np.cross(right, high)]))
-        share = np.linalg.norm(places, axis=1, keepdims=True)
-        if family.kind != "horizontal":
-            places = at / ball.stretch @ (space.basis @ axes.T)
-        places = places * [1, proportions]
-        places = share * places / np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-6)
     depth = space.body.at(centre + points).astype(np.float64)
     inside = np.clip(depth * PIXELS / (2 * reach) + 0.5, 0, 1)
     corners = centre + reach * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) @ axes
@@ -91,7 +87,7 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
         centre,
         corners,
         places.reshape(PIXELS, PIXELS, 2).astype(np.float32),
-        squared,
+        proportions,
         inside.reshape(PIXELS, PIXELS).astype(np.float32),
     )
 
@@ -100,8 +96,14 @@ def bend_picture(picture: Picture, plane: OwnPlane) -> NDArray[np.uint8]:
     """(PIXELS, PIXELS, 4). What the body shows on a picture's own plane, with straight alpha, 0 outside of the body.
 
     This follows the law by which training places it: each direction from the core is stretched to the body's outline,
-    once both have the same proportions if the picture may not be turned.
+    once the body has the picture's proportions, if these are to be seen and are not nearly its own.
     """
     x, y = np.moveaxis(plane.places, -1, 0)
-    rgb = Disc.of(picture, plane.squared).read(x.ravel(), y.ravel()).reshape(*x.shape, 3)
+    if plane.proportions is not None:
+        ratio = plane.proportions / picture.proportions
+        if plane.kind == "radial":
+            ratio = upright_factor(plane.proportions, picture.proportions)
+        angle, share = np.arctan2(y * ratio, x), np.hypot(x, y)
+        x, y = share * np.cos(angle), share * np.sin(angle)
+    rgb = Disc.of(picture).read(x.ravel(), y.ravel()).reshape(*x.shape, 3)
     return to_8bit(np.concatenate([rgb, plane.inside[..., None]], -1))

@@ -20,7 +20,15 @@ from engine.scene.grid import Body
 from engine.scene.inside import Inside
 from engine.threads import side_by_side
 from training.families import Family
-from training.priors.exemplar.frames import Frame, ScaledPicture, Space, View, make_space, scale_to_voxels
+from training.priors.exemplar.frames import (
+    Frame,
+    ScaledPicture,
+    Space,
+    View,
+    make_space,
+    scale_to_voxels,
+    upright_factor,
+)
 from training.priors.exemplar.layering.core_shell import extract_core_shell
 from training.priors.exemplar.layering.correction import RING_SAMPLES, Correction
 from training.priors.exemplar.layering.decompose import Layers, decompose
@@ -100,7 +108,8 @@ def solve(
     discs: dict[Frame, list[Disc]] = {}
     if {family.kind for family in families} <= {"horizontal", "radial"}:
         across = next((view.stretch for view in views if view.kind != RADIAL), 1.0)
-        ball = BallMap.of(space, across)
+        shown = [p.proportions for view, own in zip(views, taken, strict=True) if view.kind == RADIAL for p in own]
+        ball = BallMap.of(space, across, upright_factor(space.axial_proportions, float(np.mean(shown or [1.0]))))
         discs = _discs(views, taken)  # in their own light, which is part of the question
         if len(views) == 1:
             kind = RADIAL if views[0].kind == RADIAL else POLAR
@@ -137,7 +146,7 @@ def _discs(views: list[View], pictures: list[list[Picture]]) -> dict[Frame, list
     """The horizontal pictures as unit discs under POLAR, though the body may not be round, and the radial ones under
     RADIAL; an empty list for those that are not among the views."""
     own = {
-        RADIAL if view.kind == RADIAL else POLAR: [Disc.of(p, view.kind == RADIAL) for p in some]
+        RADIAL if view.kind == RADIAL else POLAR: [Disc.of(p) for p in some]
         for view, some in zip(views, pictures, strict=True)
     }
     return {kind: own.get(kind, []) for kind in (POLAR, RADIAL)}

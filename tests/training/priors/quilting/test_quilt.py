@@ -216,7 +216,7 @@ def test_a_little_more_light_changes_little() -> None:
 def test_pictures_of_one_thing_agree_where_they_meet() -> None:
     def sample(name: str) -> Disc:
         kind: Kind = "horizontal" if name.startswith("horizontal") else "radial"
-        return Disc.of(read_picture(SAMPLES / "orange" / f"{name}.png", kind), kind == "radial")
+        return Disc.of(read_picture(SAMPLES / "orange" / f"{name}.png", kind))
 
     one, two = sample("horizontal_1"), sample("radial_1")
     assert show_one_thing([one], [two])

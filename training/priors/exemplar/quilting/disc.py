@@ -105,20 +105,15 @@ class Disc:
     """(DISC_PIXELS, DISC_PIXELS, 3), indexed [x, y] with y upwards, over [-REACH, REACH]."""
 
     @classmethod
-    def of(cls, picture: Picture, squared: bool) -> Disc:
-        """The face of a picture. Its middle is the core, or the mask's centroid.
-
-        `squared`: whether it is first made as wide as high, with which level lines stay level. Pictures that may be
-        turned are not.
-        """
-        wide = picture.proportions**0.5 if squared else 1.0
+    def of(cls, picture: Picture) -> Disc:
+        """The face of a picture. Its middle is the core, or the mask's centroid."""
         rows, columns = np.nonzero(picture.mask)
         row, column = rows.mean(), columns.mean()
         if picture.core is not None:
             column, row = picture.core[0] - 0.5, picture.core[1] - 0.5
         angles = np.arange(DIRECTIONS) / DIRECTIONS * 2 * np.pi
-        reach = np.arange(0, np.hypot(*picture.mask.shape) * max(wide, 1 / wide), 0.5)
-        at = [row - reach[:, None] * np.sin(angles) / wide, column + reach[:, None] * np.cos(angles) * wide]
+        reach = np.arange(0, np.hypot(*picture.mask.shape), 0.5)
+        at = [row - reach[:, None] * np.sin(angles), column + reach[:, None] * np.cos(angles)]
         hit = ndimage.map_coordinates(picture.mask.astype(np.float32), at, order=1) > 0.5
         rim = reach[len(reach) - 1 - np.argmax(hit[::-1], axis=0)]
         rim = ndimage.gaussian_filter1d(ndimage.median_filter(rim, 13, mode="wrap"), 3, mode="wrap")
@@ -127,7 +122,7 @@ class Disc:
         r = np.interp(angle, angles, rim, period=2 * np.pi) * np.minimum(disc_radius(), RIM)
         sigma = max(0.5 * rim.mean() * 2 * REACH / DISC_PIXELS - 0.4, 0.0)  # against aliasing
         rgb = blurred(picture.rgb, sigma)
-        found = read_as_scipy(rgb, row - r * np.sin(angle) / wide, column + r * np.cos(angle) * wide)
+        found = read_as_scipy(rgb, row - r * np.sin(angle), column + r * np.cos(angle))
         return cls.of_bytes(np.round(found * 255).astype(np.uint8))  # as fine as a file stores it
 
     @classmethod
@@ -342,26 +337,25 @@ def evened(disc: Disc, is_horizontal: bool, hidden: NDArray[np.bool_] | None = N
 
 @dataclass(frozen=True)
 class BallMap:
-    """A body as the unit ball: once it is as high as wide, each direction from the middle is stretched to the skin.
+    """A body as the unit ball: each direction from the middle is stretched to the skin.
 
     The middle is the centroid of the cuts through the axis, as a picture's middle is its centroid: if it were half way
-    up, a body that is wider above would show its pictures shifted. If a long body were not made as high as wide first,
-    what runs along its axis would be an hourglass.
+    up, a body that is wider above would show its pictures shifted. A long body is brought to the proportions of its
+    pictures first: else what runs along its axis would be an hourglass.
     """
 
     rise: float
     """Cells from half way up the body to the middle."""
     stretch: NDArray[np.float64]
-    """(3,). Factors along e1, e2 and up, with which the body is as high as wide, and a level cut of a body that is not
-    round has the proportions of its picture."""
+    """(3,). Factors along e1, e2 and up with which the body has the proportions of its pictures."""
     skin: NDArray[np.float64]
     """(LATITUDES + 2, LONGITUDES + 2). Distance of the skin from the middle in cells once the body is stretched, with a
     margin on each side."""
 
     @classmethod
-    def of(cls, space: Space, across: float = 1.0) -> BallMap:
-        """The map of a body; with the factor `across` along e1, and its inverse along e2."""
-        factors = np.array([across, 1 / across, space.axial_proportions])
+    def of(cls, space: Space, across: float = 1.0, up: float = 1.0) -> BallMap:
+        """The map of a body with the factors `across` along e1, its inverse along e2, and `up`."""
+        factors = np.array([across, 1 / across, up])
         along = 1 / np.maximum(space.radius, 0.5)  # a cut's share of a voxel, as cuts crowd at the axis
         rise = float((space.planar[:, 2] * along).sum() / along.sum())
         latitude = ((np.arange(LATITUDES) + 0.5) / LATITUDES - 0.5) * np.pi
