@@ -189,11 +189,12 @@ def test_an_overlay_shows_the_whole_frame(renderer: Renderer) -> None:
 
 def test_in_the_context_of_another(renderer: Renderer) -> None:
     """The owner's state does not change the picture, and afterwards the owner draws as before to what it has bound."""
-    owner, first = renderer.ctx, renderer.ctx.fbo
+    owner = renderer.ctx
     atoms, camera, pieces = tight_ball(1 / 20), around(30, 40), (Piece((HALF,)),)
     renderer.set_atoms(atoms)
     renderer.set_capture(capture(50))
     expected = [draw(renderer, camera, *pieces, mode=mode).rgb for mode in ("opaque", "classic", "interior")]
+    first = owner.fbo
     mine = owner.framebuffer([owner.texture((64, 32), 4)], owner.depth_texture((64, 32)))
     program = owner.program(
         vertex_shader="#version 330\nin vec2 p; void main() { gl_Position = vec4(p, 0.0, 1.0); }",
