@@ -143,7 +143,7 @@ class Space:
         standard deviations, as of a picture."""
         planar = (self.cells - self.centre) @ basis.T
         level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
-        width, height = planar[level == np.bincount(level).argmax(), :2].std(0)
+        width, height = np.sqrt(planar[level == np.bincount(level).argmax(), :2].var(0) + 1 / 12)  # of whole cells
         return float(width / height)
 
     @property

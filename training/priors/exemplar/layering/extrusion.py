@@ -40,7 +40,7 @@ it where k h > 1, so higher ones are cut at 1 / FASTEST: the notches of a crust,
 does not hold the centre."""
 
 LEAST_STRETCH = 0.1
-"""Difference in proportions between body and picture up to which texture is laid in patches of one size."""
+"""Stretch of a picture along a side up to which its texture is stretched with it: nobody sees that."""
 
 
 @dataclass(frozen=True)
@@ -81,13 +81,13 @@ class Extrusion:
     def uncorrected(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). Colours by the picture alone."""
         sheet, depth, size = self.sheet, places.depth, self.shape.inradius
-        angle = self._angle(places)
-        x, y = sheet.position(angle, self._share(places), depth, size)
+        angle, share = self._angle(places), self._share(places)
+        x, y = sheet.position(angle, share, depth, size)
         under = (
             (x, y) if self.core is None else sheet.position(angle, self._bent(places, self.core, angle), depth, size)
         )
         rgb = sheet.read(*under, GROUND)
-        rgb += self._texture(places, angle, x, y)
+        rgb += self._texture(places, angle, share, x, y)
         opacity, through, _ = self._structures(places, angle, x, y)
         return np.clip(rgb + opacity * (through - rgb), 0, 1)
 
@@ -182,11 +182,16 @@ class Extrusion:
         return max(self.shape.widest, len(self.shape.rims) / 2)
 
     def _texture(
-        self, places: Places, angle: NDArray[np.floating], x: NDArray[np.floating], y: NDArray[np.floating]
+        self,
+        places: Places,
+        angle: NDArray[np.floating],  # [M]
+        share: NDArray[np.floating],  # [M]
+        x: NDArray[np.floating],  # [M]
+        y: NDArray[np.floating],  # [M]
     ) -> NDArray[np.float32]:
-        """(M, 3). The texture of points that show the picture at x and y."""
+        """(M, 3). The texture of points that show the picture at x and y, at this angle and share of its rim."""
         sheet, grain, strata, size = self.sheet, self.grain, self._strata, self.shape.inradius
-        swing, share = self._swing, self._share(places)
+        swing, is_stretched = self._swing, np.abs(self._stretch - 1).max() > LEAST_STRETCH
         upright = places.level - len(self.shape.rims) / 2
         points = np.concatenate([places.place, upright[:, None]], axis=1) / self._radius
         height = places.level / grain.thickness + strata.waves.at(points.astype(np.float32))
@@ -196,6 +201,8 @@ class Extrusion:
             out = swing * grain.share_a * out
             if not self.shape.is_round:
                 u, v = x[rows] + out, y[rows] + swing * grain.share_b * around
+                if not is_stretched:
+                    return sheet.read(u, v, TEXTURE)
                 return self._unstretched_texture(places.place[rows], u, v, strata.draw(layer)[::-1].T / 2)
             other = angle[rows] + np.pi * grain.share_a * around
             depth = np.maximum(places.depth[rows], sheet.rind)
@@ -216,10 +223,9 @@ class Extrusion:
     ) -> NDArray[np.float32]:
         """(R, 3). The texture in its own proportions, though the body's are others: in patches that are each moved to
         where the picture shows their middle."""
-        stretch = np.linalg.norm(self.shape.basis[:2], axis=1)
-        size = 2 * self._swing / np.maximum(np.abs(stretch - 1), LEAST_STRETCH)
-        at = place / (stretch * size) + phases + 0.5
-        shrink = (1 - stretch) * size
+        size = 2 * self._swing / np.maximum(np.abs(self._stretch - 1), LEAST_STRETCH)
+        at = place / (self._stretch * size) + phases + 0.5
+        shrink = (1 - self._stretch) * size
 
         def column(across: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
             def patch(up: NDArray[np.int64], some: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -230,6 +236,11 @@ class Extrusion:
             return read_layers(at[rows, 1], patch)
 
         return read_layers(at[:, 0], column)
+
+    @property
+    def _stretch(self) -> NDArray[np.float64]:
+        """(2,). How much the body is stretched in a slice to have the picture's proportions."""
+        return np.linalg.norm(self.shape.basis[:2], axis=1)
 
     @property
     def _swing(self) -> float:
