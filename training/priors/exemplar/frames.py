@@ -15,6 +15,7 @@ from scipy import ndimage
 from engine.scene.camera import equator
 from engine.scene.grid import Body, Grid
 from engine.solid.distance_transform import depth_in
+from training.families import Kind
 from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, fill_outside
 from training.priors.exemplar.sampling import read_as_scipy, read_bilinear, smoothstep
@@ -31,6 +32,7 @@ __all__ = [
     "Space",
     "View",
     "depth_gate",
+    "frame_of",
     "make_space",
     "read_rims",
     "rim_of",
@@ -157,6 +159,14 @@ class Space:
     def widest_slice(self, along: NDArray[np.floating]) -> float:
         """Area in square cells of the largest slice across a direction; `along` (N,) are positions along it."""
         return float(np.bincount(np.round(along - along.min()).astype(int)).max())
+
+
+def frame_of(kind: Kind, space: Space) -> Frame:
+    """How pictures of a family of this kind, but no custom one, are laid in a body: horizontal ones may be turned if it
+    is round."""
+    if kind == "radial":
+        return RADIAL
+    return POLAR if kind == "horizontal" and space.is_round else FIXED
 
 
 def upright_factor(body: float, picture: float) -> float:

@@ -11,7 +11,8 @@ from engine.scene.grid import Body
 from engine.scene.image import to_8bit
 from engine.scene.plane import Plane
 from training.families import Family, Kind
-from training.priors.exemplar.frames import make_space, upright_factor
+from training.priors.exemplar.frames import frame_of, make_space, upright_factor
+from training.priors.exemplar.patches import FIXED, RADIAL
 from training.priors.exemplar.pictures import Picture
 from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.disc import BallMap, Disc
@@ -73,10 +74,10 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
     ball = BallMap.of(space).to_ball((points @ space.basis.T / grid.cell).astype(np.float32))
     # A level cut that is not through the ball's middle is a smaller disc, which its picture fills.
     places = Ball.of(ball).level if family.kind == "horizontal" else ball @ (space.basis @ axes.T)
-    proportions = None
-    if family.kind == "radial":
+    frame, proportions = frame_of(family.kind, space), None
+    if frame == RADIAL:
         proportions = space.axial_proportions
-    elif family.kind != "horizontal" or not space.is_round:
+    elif frame == FIXED:
         proportions = space.proportions(np.stack([right, high, np.cross(right, high)]))
     depth = space.body.at(centre + points).astype(np.float64)
     inside = np.clip(depth * PIXELS / (2 * reach) + 0.5, 0, 1)

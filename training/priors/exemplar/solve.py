@@ -25,6 +25,7 @@ from training.priors.exemplar.frames import (
     ScaledPicture,
     Space,
     View,
+    frame_of,
     make_space,
     scale_to_voxels,
     upright_factor,
@@ -220,8 +221,7 @@ def _frame_and_area(space: Space, family: Family) -> tuple[Frame, NDArray[np.flo
         high = space.up - normal * (normal @ space.up)
         high = high / np.linalg.norm(high) if np.linalg.norm(high) > 1e-3 else space.basis[1]
         basis = np.stack([np.cross(high, normal), high, normal])
-    kind = POLAR if family.kind == "horizontal" and space.is_round else FIXED
-    return kind, basis, space.widest_slice((space.cells - space.centre) @ basis[2])
+    return frame_of(family.kind, space), basis, space.widest_slice((space.cells - space.centre) @ basis[2])
 
 
 def _carrier(views: list[View]) -> int | None:

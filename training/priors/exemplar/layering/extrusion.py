@@ -223,7 +223,7 @@ class Extrusion:
     ) -> NDArray[np.float32]:
         """(R, 3). The texture in its own proportions, though the body's are others: in patches that are each moved to
         where the picture shows their middle."""
-        size = 2 * self._swing / np.maximum(np.abs(self._stretch - 1), LEAST_STRETCH)
+        size = 2 * self._swing / np.abs(self._stretch - 1)
         at = place / (self._stretch * size) + phases + 0.5
         shrink = (1 - self._stretch) * size
 
