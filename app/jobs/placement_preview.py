@@ -40,6 +40,8 @@ class PlacementRequest:
     atoms: Atoms | None
     """The object; None while it is not solid, and then only the axis is found."""
     up: Vec3
+    alone: bool = False
+    """Whether no other family has pictures."""
 
     def equals(self, other: PlacementRequest | None) -> bool:
         """Whether the result would be the same."""
@@ -49,9 +51,9 @@ class PlacementRequest:
         return arrays and (self.marks, self.plane_key) == (other.marks, other.plane_key)
 
     @property
-    def plane_key(self) -> tuple[Family, Vec3]:
+    def plane_key(self) -> tuple[Family, Vec3, bool]:
         """Everything that the own plane depends on, apart from the object."""
-        return replace(self.family, exemplars=(), prompt="", marks=()), self.up
+        return replace(self.family, exemplars=(), prompt="", marks=()), self.up, self.alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,5 +128,5 @@ class PlacementPreview:
             self._body, self._plane = (atoms, body_of_atoms(atoms)), None
         key = wanted.plane_key
         if self._plane is None or self._plane[0] != key:
-            self._plane = (key, find_own_plane(self._body[1], np.asarray(wanted.up, np.float64), key[0]))
+            self._plane = (key, find_own_plane(self._body[1], np.asarray(wanted.up, np.float64), key[0], wanted.alone))
         return self._plane[1]

@@ -185,7 +185,8 @@ class FaceController:
             face.placed = None
             return
         workspace = self.workspace
-        wanted = PlacementRequest(face.found.rgb, known, family, workspace.atoms, workspace.up)
+        alone = sum(bool(f.exemplars) for f in workspace.document.families) == 1
+        wanted = PlacementRequest(face.found.rgb, known, family, workspace.atoms, workspace.up, alone)
         face.placed = self.placement.update(wanted)
 
     def _watch(self) -> None:

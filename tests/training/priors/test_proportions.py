@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from engine.scene.grid import Body, Grid
 from tests.helpers.exemplar_faces import UP, disc, quiet, save
-from training.families import Family
+from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.frames import make_space, upright_factor
 from training.priors.exemplar.placement import bend_picture, find_own_plane
@@ -41,14 +41,17 @@ def square(tower: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     return np.where((layer % 2 == 0)[..., None], CRUMB, CREAM), mask
 
 
-def grown(face: NDArray[np.float64], mask: NDArray[np.bool_], half: NDArray[np.float64], folder: Path) -> Volume:
-    """The inside of a box from one slice across its longest level side."""
+def grown(
+    face: NDArray[np.float64], mask: NDArray[np.bool_], half: NDArray[np.float64], folder: Path, kind: Kind = "parallel"
+) -> Volume:
+    """The inside of a box from one slice across its longest level side, or through its axis."""
     picture = save(folder / "slice.png", np.where(mask[..., None], face, 1.0))
-    return ExemplarPrior().solve(box(half), UP, [Family("parallel", 8, (picture,))], 80, 0, quiet)
+    return ExemplarPrior().solve(box(half), UP, [Family(kind, 8, (picture,))], 80, 0, quiet)
 
 
-def test_layers_of_a_square_slice_are_level_in_a_slim_body(tmp_path: Path) -> None:
-    volume = grown(*square(), SLIM, tmp_path)
+@pytest.mark.parametrize("kind", ["parallel", "radial"])
+def test_layers_of_a_square_slice_are_level_in_a_slim_body(kind: Kind, tmp_path: Path) -> None:
+    volume = grown(*square(), SLIM, tmp_path, kind)
     assert volume.inside is not None
     points = np.random.default_rng(0).uniform(-1, 1, (20_000, 3)) * (SLIM - 0.08)
     share = (points[:, 2] + 1) / 0.4
@@ -82,12 +85,27 @@ def test_texture_keeps_its_proportions_in_a_slim_body(tmp_path: Path) -> None:
     assert 0.7 < (across / up) ** 0.5 < 1.4
 
 
-@pytest.mark.parametrize("half", [SLIM, np.array([1.0, 0.7, 0.7])], ids=["slim", "square"])
-def test_the_preview_shows_the_own_plane(half: NDArray[np.float64], tmp_path: Path) -> None:
-    volume = grown(*square(), half, tmp_path)
-    family = Family("parallel", 8, (tmp_path / "slice.png",))
-    plane = find_own_plane(box(half), UP, family)
-    bent = bend_picture(read_picture(family.exemplars[0], "parallel"), plane) / 255
+def test_deeper_than_a_rind_there_is_none(tmp_path: Path) -> None:
+    """Where a body reaches farther than its picture, the picture's rim is not shown all the way in."""
+    y, x = np.mgrid[:240, :240] / 100 - 1.195
+    radius = np.hypot(x, y)
+    face = np.where((radius > 0.9)[..., None], [0.1, 0.5, 0.1], [0.9, 0.3, 0.3])
+    volume = grown(face, radius < 1, np.array([0.7, 0.7, 0.7]), tmp_path, "radial")
+    assert volume.inside is not None
+    points = np.random.default_rng(0).uniform(-0.54, 0.54, (20_000, 3))
+    assert volume.inside.at(points, 0.0)[:, 0].min() > 0.8
+
+
+@pytest.mark.parametrize(
+    ("half", "kind"),
+    [(SLIM, "parallel"), (np.array([1.0, 0.7, 0.7]), "parallel"), (SLIM, "radial")],
+    ids=["slim", "square", "turned"],
+)
+def test_the_preview_shows_the_own_plane(half: NDArray[np.float64], kind: Kind, tmp_path: Path) -> None:
+    volume = grown(*square(), half, tmp_path, kind)
+    family = Family(kind, 8, (tmp_path / "slice.png",))
+    plane = find_own_plane(box(half), UP, family, alone=True)
+    bent = bend_picture(read_picture(family.exemplars[0], kind), plane) / 255
     left, down = plane.corners[1] - plane.corners[0], plane.corners[3] - plane.corners[0]
     rows, columns = np.nonzero(bent[..., 3] == 1)
     middle = (np.stack([columns, rows], -1) + 0.5) / len(bent)

@@ -7,6 +7,7 @@ and height. A voxel may only take from pixels with similar gate coordinates.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,29 +17,30 @@ from engine.scene.camera import equator
 from engine.scene.grid import Body, Grid
 from engine.solid.distance_transform import depth_in
 from training.families import Kind
+from training.priors.exemplar.outline import ANGLES, Outline, find_insets, find_rims
 from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, fill_outside
 from training.priors.exemplar.sampling import read_as_scipy, read_bilinear, smoothstep
 
 __all__ = [
-    "ANGLES",
+    "DIRECTIONS",
     "HEIGHT_CELLS",
-    "INSET_STEP",
     "MIN_SLICE_SHARE",
     "RADIUS_CELLS",
     "Frame",
-    "Outline",
     "ScaledPicture",
     "Space",
     "View",
     "depth_gate",
     "frame_of",
     "make_space",
+    "read_reach",
     "read_rims",
     "rim_of",
     "rim_table",
     "scale_picture",
     "scale_to_voxels",
+    "to_pixel",
     "upright_factor",
     "voxel_gate",
 ]
@@ -52,14 +54,15 @@ DEPTH_CELLS, RADIUS_CELLS, HEIGHT_CELLS = 7.0, 7.0, 4.0
 MARGIN = 6
 """Cells of air around the body, so that patches at the skin stay on the grid."""
 
-ANGLES = 180
-"""Directions around the axis in which the rim of a slice is sampled."""
-
-INSET_STEP = 0.5
-"""Cells between two samples of the depth; one pixel of a scaled picture."""
+PAD = 3
+"""Cells around a scaled picture."""
 
 MIN_SLICE_SHARE = 0.02
 """Share of the largest slice's area; smaller slices at an end are a stalk or a crumb and do not count as height."""
+
+DIRECTIONS = 32
+"""Directions around the axis in which it is known how far the skin is at most: enough for the corners of a box, and
+each with many voxels."""
 
 ROUND = 0.09
 """Largest relative standard deviation of the rim of a round body: that of an ellipse of ratio 1.3."""
@@ -107,10 +110,28 @@ class Space:
         """Inradius of the body in cells."""
         return self.body.inradius / self.body.grid.cell
 
+    @cached_property
+    def reach(self) -> NDArray[np.float32]:
+        """(DIRECTIONS,). How far from the axis the skin lies in each direction, in cells: at the height where that is
+        farthest, as a 95th percentile so that crumbs do not count. In an oblong body, radial pictures are as wide."""
+        skin = self.depth < 0.1
+        if not skin.any():
+            return np.ones(DIRECTIONS, np.float32)
+        rim = self.rim[skin]
+        direction = (self.turn[skin] * DIRECTIONS).astype(int) % DIRECTIONS
+        each = [rim[direction == n] for n in range(DIRECTIONS)]
+        farthest = [np.percentile(some if len(some) else rim, 95) for some in each]
+        return ndimage.gaussian_filter1d(np.array(farthest, np.float32), 1.0, mode="wrap")
+
     @property
-    def widest(self) -> float:
-        """Largest distance of the skin from the axis in cells, as a 95th percentile so that crumbs do not count."""
-        return float(np.percentile(self.rim[self.depth < 0.1], 95)) if (self.depth < 0.1).any() else 1.0
+    def turn(self) -> NDArray[np.float32]:
+        """(N,). Angle of the voxels around the axis in turns. Range [0, 1]."""
+        return np.arctan2(self.planar[:, 1], self.planar[:, 0]) / np.float32(2 * np.pi) % 1
+
+    @cached_property
+    def across(self) -> NDArray[np.float32]:
+        """(N,). Distance of the voxels from the axis over the `reach` in their direction."""
+        return self.radius / read_reach(self.reach, self.turn)
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -147,6 +168,11 @@ class Space:
         level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
         width, height = np.sqrt(planar[level == np.bincount(level).argmax(), :2].var(0) + 1 / 12)  # of whole cells
         return float(width / height)
+
+    @property
+    def axial_area(self) -> int:
+        """Area in square cells of the cut through the axis along e1."""
+        return int(((self.planar[:, 1] >= -0.5) & (self.planar[:, 1] < 0.5)).sum())
 
     @property
     def axial_proportions(self) -> float:
@@ -253,38 +279,14 @@ def read_rims(
     return np.maximum(rim, np.maximum(radius, 0.5))
 
 
+def read_reach(reach: NDArray[np.float32], turn: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(M,). A `Space.reach` at angles (M,) in turns."""
+    return np.interp(turn * DIRECTIONS - 0.5, np.arange(DIRECTIONS), reach, period=DIRECTIONS).astype(np.float32)
+
+
 def depth_gate(depth: NDArray[np.floating]) -> NDArray[np.float32]:
     """Gate coordinate of a depth in inradii: fine in the rind, saturated in the middle."""
     return ((1 - np.exp(-np.asarray(depth, np.float32) / DEPTH_SCALE)) * DEPTH_CELLS).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class Outline:
-    """The edge of a cut face in a picture."""
-
-    middle: tuple[float, float]
-    """Centre (x, y) in cells."""
-    half: tuple[float, float]
-    """Half width and half height of the cut face in cells."""
-    rims: NDArray[np.float32]
-    """(ANGLES,). Distance of the edge from the centre, counter-clockwise from the right, in cells."""
-    insets: NDArray[np.float32]
-    """(ANGLES, L). Distance from the edge towards the centre, in cells, at which the depth reaches l * INSET_STEP
-    cells."""
-
-    def rim(self, angle: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(...). Distance of the edge from the centre at angles in radians."""
-        turn = np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5
-        return np.interp(turn, np.arange(ANGLES), self.rims, period=ANGLES).astype(np.float32)
-
-    def inset(self, angle: NDArray[np.floating], depth: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(...). Distance from the edge towards the centre, at angles in radians, of points `depth` cells under it.
-
-        Larger than the depth itself at a corner, such as a loaf's.
-        """
-        turn = (np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5) % ANGLES
-        closed = np.concatenate([self.insets, self.insets[:1]])[..., None]
-        return read_bilinear(closed, turn.ravel(), (np.asarray(depth) / INSET_STEP).ravel()).reshape(turn.shape)
 
 
 @dataclass(frozen=True)
@@ -326,11 +328,16 @@ def scale_to_voxels(picture: Picture, space: Space, kind: Frame, area: float) ->
     return scale_picture(picture, space.inradius, kind, float(np.sqrt(area / max(picture.mask.sum(), 1))))
 
 
+def to_pixel(place: NDArray[np.floating], cells: float) -> NDArray[np.floating]:
+    """Places in a scaled picture, in cells, as indices of the picture's own pixels, of `cells` cells each."""
+    return ((place - PAD) * OVER + 0.5) / (cells * OVER) - 0.5
+
+
 def scale_picture(picture: Picture, inradius: float, kind: Frame, cells: float) -> ScaledPicture:
     """The picture with `cells` cells per pixel, for a body of this inradius in cells."""
     scale = cells * OVER
     rgb, mask = _resize(picture.rgb, scale), _resize(picture.mask.astype(np.float32), scale) > 0.5
-    pad = 3 * OVER
+    pad = PAD * OVER
     mask = np.pad(mask, pad)
     rgb = np.pad(rgb, ((pad, pad), (pad, pad), (0, 0)), mode="edge")
     rgb = np.clip(np.where(mask[..., None], rgb, fill_outside(rgb, mask)), 0, 1)
@@ -345,8 +352,8 @@ def scale_picture(picture: Picture, inradius: float, kind: Frame, cells: float) 
         x, y = ((place * scale - 0.5 + pad) / OVER for place in picture.core)
         middle = (x, y if kind == POLAR else middle[1])
     half = (float(np.ptp(columns)) / 2 / OVER, float(np.ptp(rows)) / 2 / OVER)
-    rims = _rims(mask, middle)
-    insets = _insets(depth * np.float32(inradius), middle, rims)
+    rims = find_rims(mask, middle)
+    insets = find_insets(depth * np.float32(inradius), middle, rims)
     grid = np.zeros_like(mask)
     grid[::OVER, ::OVER] = True
     rows, columns = np.nonzero(mask & grid)
@@ -377,45 +384,9 @@ def voxel_gate(space: Space, kind: Frame) -> NDArray[np.float32]:
     if kind == POLAR:
         return np.stack([d, np.minimum(space.radius / space.rim, 1) * np.float32(RADIUS_CELLS), zero], -1)
     if kind == RADIAL:
-        widest = space.widest
-        return np.stack(
-            [
-                d,
-                np.minimum(space.radius / np.float32(widest), 1) * np.float32(RADIUS_CELLS),
-                (space.height + 1) / 2 * np.float32(HEIGHT_CELLS),
-            ],
-            -1,
-        )
+        across = np.minimum(space.across, 1) * np.float32(RADIUS_CELLS)
+        return np.stack([d, across, (space.height + 1) / 2 * np.float32(HEIGHT_CELLS)], -1)
     return np.stack([d, zero, zero], -1)
-
-
-def _rims(mask: NDArray[np.bool_], middle: tuple[float, float]) -> NDArray[np.float32]:
-    """(ANGLES,). Distance of a mask's edge from its centre in cells; the mask has OVER pixels per cell."""
-    angles = (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi
-    reach = np.arange(0, np.hypot(*mask.shape), 0.5)
-    x = middle[0] * OVER + np.cos(angles)[:, None] * reach
-    y = middle[1] * OVER - np.sin(angles)[:, None] * reach
-    hit = ndimage.map_coordinates(mask.astype(np.float32), np.stack([y, x]), order=1, mode="constant") > 0.5
-    last = len(reach) - 1 - np.argmax(hit[:, ::-1], axis=1)
-    rims = np.where(hit.any(1), reach[last], 1.0) / OVER
-    return np.maximum(ndimage.gaussian_filter1d(rims, 1.0, mode="wrap"), 1.0).astype(np.float32)
-
-
-def _insets(depth: NDArray[np.float32], middle: tuple[float, float], rims: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(ANGLES, L). `ScaledPicture.insets` of a depth map (H, W) in cells with OVER pixels per cell; the search ends at
-    the centre."""
-    angles = (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi
-    inward = np.arange(0, float(rims.max()), INSET_STEP, dtype=np.float32)
-    r = np.maximum(rims[:, None] - inward, 0)
-    x = (middle[0] + np.cos(angles)[:, None] * r) * OVER
-    y = (middle[1] - np.sin(angles)[:, None] * r) * OVER
-    found = ndimage.map_coordinates(depth, np.stack([y, x]), order=1, mode="constant")
-    # Monotone: beyond the ridge of the shape the depth falls again, which belongs to the opposite skin.
-    found = np.maximum.accumulate(found, axis=1)
-    levels = np.arange(0, float(depth.max()) + INSET_STEP, INSET_STEP)
-    steep = found + 1e-4 * inward  # strictly increasing, so that the inverse is unique
-    insets = np.stack([np.interp(levels, row, inward) for row in steep])
-    return np.minimum(insets, rims[:, None]).astype(np.float32)
 
 
 def _resize(a: NDArray[np.float32], scale: float) -> NDArray[np.float32]:

@@ -11,11 +11,15 @@ from engine.scene.grid import Body
 from engine.scene.image import to_8bit
 from engine.scene.plane import Plane
 from training.families import Family, Kind
-from training.priors.exemplar.frames import frame_of, make_space, upright_factor
-from training.priors.exemplar.patches import FIXED, RADIAL
-from training.priors.exemplar.pictures import Picture
+from training.priors.exemplar.frames import Space, View, frame_of, make_space, scale_picture, to_pixel, upright_factor
+from training.priors.exemplar.layering.correction import radial_position
+from training.priors.exemplar.layering.places import Places, Shape
+from training.priors.exemplar.patches import FIXED, OVER, RADIAL
+from training.priors.exemplar.pictures import Picture, fill_outside
 from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.disc import BallMap, Disc
+from training.priors.exemplar.rind import rind_depth
+from training.priors.exemplar.sampling import read_as_scipy
 
 __all__ = ["OwnPlane", "bend_picture", "find_own_plane"]
 
@@ -27,6 +31,30 @@ VOXELS = 64
 
 MARGIN = 1.04
 """Half a side of the square around the body, over the body's reach."""
+
+
+@dataclass(frozen=True)
+class Turned:
+    """Points of the own plane of radial pictures that are turned about the axis (`Revolution`)."""
+
+    shape: Shape
+    places: Places
+    area: int
+    """Area of the cut in square cells."""
+
+    @classmethod
+    def of(cls, space: Space, points: NDArray[np.float64]) -> Turned:
+        """For points (M, 3) in cells from the middle of a body."""
+        shape = Shape.of(space, View(RADIAL, space.basis, []))
+        return cls(shape, shape.places(points), space.axial_area)
+
+    def read(self, picture: Picture) -> NDArray[np.float32]:
+        """(M, 3). What a picture shows of the points."""
+        cells = float(np.sqrt(self.area / picture.mask.sum()))
+        scaled = scale_picture(picture, self.shape.inradius, RADIAL, cells)
+        rind = rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=True)
+        x, y = radial_position(scaled, rind, self.places, self.shape, self.places.side)
+        return read_as_scipy(fill_outside(picture.rgb, picture.mask), to_pixel(y, cells), to_pixel(x, cells))
 
 
 @dataclass(frozen=True)
@@ -47,12 +75,15 @@ class OwnPlane:
     rows from the top."""
     proportions: float | None
     """Width over height of the body in the family's cuts; None if its pictures may be turned."""
+    turned: Turned | None
+    """How pictures are turned about the axis instead, if they are."""
     inside: NDArray[np.float32]
     """(PIXELS, PIXELS). Fraction of each pixel that is inside the body. Range [0, 1]."""
 
 
-def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPlane:
-    """The own plane of a family: half way up, upright through the axis, or across a straight body's middle."""
+def find_own_plane(body: Body, up: NDArray[np.float64], family: Family, alone: bool = False) -> OwnPlane:
+    """The own plane of a family: half way up, upright through the axis, or across a straight body's middle.
+    `alone`: whether no other family has pictures, so that radial ones are turned about the axis."""
     space = make_space(body, up, VOXELS)
     grid = space.body.grid
     centre = grid.origin + (space.centre + 0.5) * grid.cell
@@ -89,6 +120,7 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
         corners,
         places.reshape(PIXELS, PIXELS, 2).astype(np.float32),
         proportions,
+        Turned.of(space, points / grid.cell) if alone and frame == RADIAL else None,
         inside.reshape(PIXELS, PIXELS).astype(np.float32),
     )
 
@@ -99,6 +131,9 @@ def bend_picture(picture: Picture, plane: OwnPlane) -> NDArray[np.uint8]:
     This follows the law by which training places it: each direction from the core is stretched to the body's outline,
     once the body has the picture's proportions, if these are to be seen and are not nearly its own.
     """
+    if plane.turned is not None:
+        rgb = plane.turned.read(picture).reshape(PIXELS, PIXELS, 3)
+        return to_8bit(np.concatenate([np.clip(rgb, 0, 1), plane.inside[..., None]], -1))
     x, y = np.moveaxis(plane.places, -1, 0)
     if plane.proportions is not None:
         ratio = plane.proportions / picture.proportions

@@ -213,8 +213,7 @@ def _make_view(space: Space, family: Family, pictures: list[Picture]) -> View:
 def _frame_and_area(space: Space, family: Family) -> tuple[Frame, NDArray[np.float64], float]:
     """The frame and basis of a family, and the area that its pictures show in square cells."""
     if family.kind == "radial":
-        middle = (space.planar[:, 1] >= -0.5) & (space.planar[:, 1] < 0.5)
-        return RADIAL, space.basis, float(middle.sum())
+        return RADIAL, space.basis, float(space.axial_area)
     basis = space.basis
     if family.kind != "horizontal":
         normal = family.normal(space.body, space.up)
@@ -244,8 +243,8 @@ def _lay_course(
     if carrier is None:
         log.info("radial pictures alone: turned about the axis")
         shape = Shape.of(space, views[0])
-        grain, rim = Grain.of(layers[0], [], turns=False), float(np.median(space.rim))
-        return Revolution(shape, Sheet.of(layers[0][0]), grain, rim, int(rng.integers(MOST_SEED))), None
+        grain = Grain.of(layers[0], [], turns=False)
+        return Revolution(shape, Sheet.of(layers[0][0]), grain, int(rng.integers(MOST_SEED))), None
     view = views[carrier]
     shape = Shape.of(space, view)
     grain = Grain.of(layers[carrier], layers[radial] if radial is not None else [], turns=shape.is_round)

@@ -2,19 +2,21 @@
 
 A picture shows its texture in one plane only. Extended along the axis it would become rods, and sheared or drifting,
 wavy lines. In layers across the axis, about as thick as the grain is long, every cut shows as much texture as the
-picture, and cuts parallel to the picture show it as it was photographed.
+picture, and cuts parallel to the picture show it as it was photographed. Layers around an axis (`Fan`) split in two
+where they become too thick: wedges from the axis to the skin would be rays about the one and bars under the other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from training.priors.exemplar.noise import Noise
 
-__all__ = ["LAYER", "Waves", "beside_own", "read_layers"]
+__all__ = ["LAYER", "Fan", "Waves", "beside_own", "read_layers"]
 
 LAYER = 1.5
 """Thickness of a layer over the grain of its texture, so that it changes as fast along the axis as around it. Thicker
@@ -31,6 +33,12 @@ bricks; 0.4 and 2.0 break up the lines of a texture in cuts along them (slope ac
 SHORTEST = 0.02
 """Length of the shortest waves in radii: with it their lattice has 130 cells along a side."""
 
+INNERMOST = 3
+"""Layers that meet at an axis, around which they are as thick as others are."""
+
+Read = Callable[[NDArray[np.int64], NDArray[np.intp]], NDArray[np.float32]]
+"""(R, 3). The texture of layers (R,) at some rows (R,) of the points."""
+
 
 class Waves:
     """Waves by which layers differ from planes."""
@@ -44,13 +52,10 @@ class Waves:
         return WAVE * self._noise.at(points)[:, 0]
 
 
-def read_layers(
-    height: NDArray[np.floating], read: Callable[[NDArray[np.int64], NDArray[np.intp]], NDArray[np.float32]]
-) -> NDArray[np.float32]:
+def read_layers(height: NDArray[np.floating], read: Read) -> NDArray[np.float32]:
     """(M, 3). The layered texture at points of this height (M,), in layers.
 
-    `read(layers, rows)` returns (R, 3) the texture of layers (R,) at some rows (R,) of the points. Layers blend such
-    that the variance is kept (Heitz and Neyret 2018), as averaging would blur.
+    Layers blend such that the variance is kept (Heitz and Neyret 2018), as averaging would blur.
     """
     whole = np.floor(height)
     part = np.clip((height - whole - (1 - PASSING)) / PASSING, 0, 1) * np.pi / 2
@@ -60,6 +65,46 @@ def read_layers(
         rows = np.flatnonzero(share > 0)
         out[rows] += share[rows, None] * read(layer[rows] + step, rows)
     return out
+
+
+@dataclass(frozen=True)
+class Fan:
+    """Layers around an axis, all about as thick: each splits in two where the radius has doubled."""
+
+    thickness: float
+    widest: float
+    """Largest distance from the axis, in the units of `thickness`."""
+
+    @property
+    def count(self) -> int:
+        """How many layers there are in all."""
+        return self._before(np.int64(self._ring(np.array([self.widest]))[0] + 3))
+
+    def read(
+        self, radius: NDArray[np.floating], turn: NDArray[np.floating], waves: NDArray[np.floating], read: Read
+    ) -> NDArray[np.float32]:
+        """(M, 3). The layered texture at points at a radius (M,) and angle (M,) in turns, with `waves` (M,) in
+        thicknesses."""
+
+        def ring(rings: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+            around = self._before(rings + 1) - self._before(rings)
+
+            def layer(layers: NDArray[np.int64], some: NDArray[np.intp]) -> NDArray[np.float32]:
+                return read(self._before(rings[some]) + layers % around[some], rows[some])
+
+            return read_layers(turn[rows] * around + waves[rows], layer)
+
+        return read_layers(self._ring(radius + waves * self.thickness), ring)
+
+    def _ring(self, radius: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(M,). Which ring of layers lies at a radius (M,). In the middle of each, they have their thickness."""
+        middle = 2 * np.pi * radius / (INNERMOST * self.thickness)
+        return np.log2(np.maximum(middle, 1)) + 0.5
+
+    @staticmethod
+    def _before(ring: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(M,). The layers in rings before these (M,)."""
+        return INNERMOST * (2**ring - 1)
 
 
 def beside_own(

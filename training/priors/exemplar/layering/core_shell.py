@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.inside import InsideRecord
-from training.priors.exemplar.frames import ANGLES
 from training.priors.exemplar.layering.decompose import Layers
 from training.priors.exemplar.layering.places import Places
+from training.priors.exemplar.outline import ANGLES, UNDER
 from training.priors.exemplar.patches import OVER
 from training.priors.exemplar.record import RecordReader
 from training.priors.exemplar.sampling import read_bilinear
@@ -60,13 +60,12 @@ class CoreShell:
     """(H, W). Opacity of the line in the horizontal picture."""
 
     def shell(
-        self, places: Places, widest: float, angle: NDArray[np.floating]
+        self, places: Places, angle: NDArray[np.floating]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """(M,), (M,), (M,). For points at angles (M,): signed distance beyond the shell, the shell's distance from the
-        centre in that direction, and the ring's in the horizontal picture. All in cells, as is `widest`, the largest
-        distance of the skin from the axis.
+        centre in that direction, and the ring's in the horizontal picture. All in cells.
         """
-        across = places.radius / widest * self.half[0]
+        across = places.across * self.half[0]
         up = places.height * self.half[1]
         turn = (np.arctan2(up, across) / np.pi + 0.5) * (OUTLINE_ANGLES - 1)
         outline = np.interp(turn, np.arange(OUTLINE_ANGLES), self.outline)
@@ -156,7 +155,7 @@ def extract_core_shell(carrier: Layers, radial: Sequence[Layers]) -> tuple[CoreS
 
 def _lines(parts: Layers) -> NDArray[np.float32]:
     """(H, W). Possible lines inside the rind; doubled, as the middle of a thin line is not fully opaque."""
-    marks = np.maximum(parts.structure, parts.detail) * (parts.source.depth > 1.2 * parts.rind)
+    marks = np.maximum(parts.structure, parts.detail) * (parts.source.depth > UNDER * parts.rind)
     return np.minimum(2 * marks, 1)
 
 

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.inside import InsideRecord
-from training.priors.exemplar.frames import ANGLES, INSET_STEP, ScaledPicture
+from training.priors.exemplar.frames import ScaledPicture
 from training.priors.exemplar.layering.height_mask import HeightMask
 from training.priors.exemplar.layering.places import Places, Shape
-from training.priors.exemplar.layering.sheet import GROUND, STRUCTURE, TEXTURE, THROUGH, Sheet, skin_weight
+from training.priors.exemplar.layering.sheet import GROUND, STRUCTURE, TEXTURE, THROUGH, Sheet
+from training.priors.exemplar.outline import ANGLES, INSET_STEP, Outline, skin_weight
 from training.priors.exemplar.record import MOST_SHEETS, RecordReader, nested
 from training.priors.exemplar.sampling import read_bilinear, smoothstep
 
@@ -73,11 +74,11 @@ class Correction:
         seen = np.empty((2 * len(self.sheets), len(base), 3), np.float32)
         for n, sheet in enumerate(self.sheets):
             for side in (1, -1):
-                found = sheet.read(*radial_position(sheet, places, shape, side), slice(0, THROUGH.stop))
+                found = sheet.read(*radial_position(sheet, sheet.rind, places, shape, side), slice(0, THROUGH.stop))
                 bare = found[:, GROUND] + found[:, TEXTURE]
                 seen[2 * n + (side < 0)] = bare + found[:, STRUCTURE] * (found[:, THROUGH] - bare)
         if height_mask is not None:
-            explained = height_mask.explains(places.radius / shape.widest, places.height)
+            explained = height_mask.explains(places.across, places.height)
             seen[:, explained] = base[explained]
         gap = seen - base
         other = smoothstep(np.linalg.norm(gap, axis=-1), MIN_DIFFERENCE, 1.6 * MIN_DIFFERENCE)
@@ -105,14 +106,15 @@ class Correction:
 
 
 def radial_position(
-    sheet: Sheet, places: Places, shape: Shape, side: int
+    outline: Outline, rind: float, places: Places, shape: Shape, side: int | NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(M,), (M,). Places of points in the right (side 1) or left (-1) half of a radial picture, cells."""
-    across = places.radius / shape.widest * sheet.half[0]
-    up = places.height * sheet.half[1]
+    """(M,), (M,). Places of points in the right (side 1) or left (-1) half of a radial picture, cells. It is as wide in
+    all directions, or the layers of a cake would bend where the body is slim. `rind`: see `Outline.position`."""
+    across = places.across * outline.half[0]
+    up = places.height * outline.half[1]
     angle = np.arctan2(up, side * across)
-    share = np.minimum(np.hypot(across, up) / sheet.rim(angle), 1)
-    return sheet.position(angle, share, places.depth, shape.inradius)
+    share = np.minimum(np.hypot(across, up) / outline.rim(angle), 1)
+    return outline.position(angle, share, places.depth, shape.inradius, rind)
 
 
 def _median_rings(places: Places, rgb: NDArray[np.float32], levels: int) -> NDArray[np.float32]:

@@ -15,6 +15,7 @@ from scipy import ndimage
 from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.frames import Frame, ScaledPicture
 from training.priors.exemplar.layering.closed import RUNS_THROUGH, closed_heights
+from training.priors.exemplar.outline import UNDER
 from training.priors.exemplar.patches import OVER, POLAR, RADIAL
 from training.priors.exemplar.rind import rind_depth
 from training.priors.exemplar.sampling import smoothstep
@@ -93,7 +94,7 @@ def decompose(scaled: ScaledPicture, kind: Frame, membranes: NDArray[np.float32]
 
     `membranes` (H, W): how surely each pixel shows a membrane, which is a structure however faint it is. Range [0, 1].
     """
-    rind = rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=kind != RADIAL)
+    rind, followed = (rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=g) for g in (kind != RADIAL, True))
     core = scaled.depth > rind
     inradius = float(depth_in(scaled.depth > 0).max())  # pixels
     picture = _fill_mirrored(scaled.rgb, core)
@@ -159,10 +160,10 @@ def decompose(scaled: ScaledPicture, kind: Frame, membranes: NDArray[np.float32]
             heights[ndimage.grey_dilation(membranes, size=(5, 5)) > 0] = RUNS_THROUGH
     return Layers(
         scaled,
-        rind,
+        followed,
         ground,
         texture,
-        np.maximum(thin, structure * (1 - smoothstep(scaled.depth, rind, 1.2 * rind))).astype(np.float32),
+        np.maximum(thin, structure * (1 - smoothstep(scaled.depth, rind, UNDER * rind))).astype(np.float32),
         scaled.rgb[nearest[0], nearest[1]] if solid.any() else scaled.rgb,
         heights,
         detail.astype(np.float32),

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.inside import InsideRecord
-from training.priors.exemplar.frames import ANGLES
 from training.priors.exemplar.layering.closed import RUNS_THROUGH
 from training.priors.exemplar.layering.core_shell import CoreShell
 from training.priors.exemplar.layering.correction import Correction
@@ -21,6 +20,7 @@ from training.priors.exemplar.layering.grain import SWING, Grain, Strata
 from training.priors.exemplar.layering.height_mask import HeightMask
 from training.priors.exemplar.layering.places import Places, Shape
 from training.priors.exemplar.layering.sheet import GROUND, HEIGHT, PICTURE, STRUCTURE, TEXTURE, Sheet
+from training.priors.exemplar.outline import ANGLES, UNDER
 from training.priors.exemplar.record import MOST_SEED, RecordReader, nested
 from training.priors.exemplar.sampling import read_trilinear, smoothstep
 from training.priors.exemplar.strata import beside_own, read_layers
@@ -82,9 +82,11 @@ class Extrusion:
         """(M, 3). Colours by the picture alone."""
         sheet, depth, size = self.sheet, places.depth, self.shape.inradius
         angle, share = self._angle(places), self._share(places)
-        x, y = sheet.position(angle, share, depth, size)
+        x, y = sheet.position(angle, share, depth, size, sheet.rind)
         under = (
-            (x, y) if self.core is None else sheet.position(angle, self._bent(places, self.core, angle), depth, size)
+            (x, y)
+            if self.core is None
+            else sheet.position(angle, self._bent(places, self.core, angle), depth, size, sheet.rind)
         )
         rgb = sheet.read(*under, GROUND)
         rgb += self._texture(places, angle, share, x, y)
@@ -94,7 +96,7 @@ class Extrusion:
     def structures(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """(M,) and (M,). Opacity of the structures at points, and whether they end in the body."""
         angle = self._angle(places)
-        x, y = self.sheet.position(angle, self._share(places), places.depth, self.shape.inradius)
+        x, y = self.sheet.position(angle, self._share(places), places.depth, self.shape.inradius, self.sheet.rind)
         opacity, _, height = self._structures(places, angle, x, y)
         return opacity[:, 0], height < RUNS_THROUGH
 
@@ -117,9 +119,9 @@ class Extrusion:
             structure[small[thicker]] = more[thicker]
         if self.height_mask is not None:
             # The rind follows the skin, not the axis.
-            inner = np.flatnonzero((opacity[:, 0] > 0) & (depth > 1.2 * sheet.rind))
+            inner = np.flatnonzero((opacity[:, 0] > 0) & (depth > UNDER * sheet.rind))
             opacity_left, colours = self.height_mask.at(
-                through[inner], x[inner], y[inner], places.radius[inner] / self.shape.widest, places.height[inner]
+                through[inner], x[inner], y[inner], places.across[inner], places.height[inner]
             )
             opacity[inner, 0] *= opacity_left
             through[inner] = colours
@@ -135,7 +137,9 @@ class Extrusion:
 
     def position(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M,), (M,). Place of points in the picture, cells."""
-        return self.sheet.position(self._angle(places), self._share(places), places.depth, self.shape.inradius)
+        return self.sheet.position(
+            self._angle(places), self._share(places), places.depth, self.shape.inradius, self.sheet.rind
+        )
 
     def _above_own(self, places: Places) -> NDArray[np.float32]:
         """(M,). Height over the own plane, cells."""
@@ -206,7 +210,7 @@ class Extrusion:
                 return self._unstretched_texture(places.place[rows], u, v, strata.draw(layer)[::-1].T / 2)
             other = angle[rows] + np.pi * grain.share_a * around
             depth = np.maximum(places.depth[rows], sheet.rind)
-            u, v = sheet.position(other, share[rows], depth, size)
+            u, v = sheet.position(other, share[rows], depth, size, sheet.rind)
             # Swing less at the axis, where all directions meet.
             out *= np.minimum(np.hypot(u - sheet.middle[0], v - sheet.middle[1]) / (2 * swing), 1)
             return sheet.read(u + out * np.cos(other), v - out * np.sin(other), TEXTURE)
@@ -250,14 +254,14 @@ class Extrusion:
     def _draw_core_line(self, rgb: NDArray[np.float32], places: Places, core: CoreShell) -> None:
         """Draws the line around a core into colours (M, 3), in place."""
         angle = places.angle
-        away, _, ring = core.shell(places, self.shape.widest, angle)
+        away, _, ring = core.shell(places, angle)
         r = ring + away
         x, y = self.sheet.middle[0] + r * np.cos(angle), self.sheet.middle[1] - r * np.sin(angle)
         rgb += core.line_at(x, y) * (self.sheet.read(x, y, PICTURE) - rgb)
 
     def _bent(self, places: Places, core: CoreShell, angle: NDArray[np.floating]) -> NDArray[np.floating]:
         """(M,). The share of the rim at which the picture shows the ground at an equal distance from the core."""
-        away, shell, ring = core.shell(places, self.shape.widest, angle)
+        away, shell, ring = core.shell(places, angle)
         at = ring / self.sheet.rim(angle)
         out = np.maximum(away, 0)
         outside = out / (out + places.depth * self.shape.inradius + 1e-6)

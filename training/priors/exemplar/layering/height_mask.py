@@ -19,6 +19,7 @@ from scipy.cluster.vq import kmeans2
 from engine.scene.inside import InsideRecord
 from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.layering.decompose import Layers
+from training.priors.exemplar.outline import UNDER
 from training.priors.exemplar.patches import OVER
 from training.priors.exemplar.record import RecordReader
 from training.priors.exemplar.sampling import read_bilinear
@@ -160,7 +161,7 @@ def _cells(radius: NDArray[np.floating], height: NDArray[np.floating]) -> tuple[
 def make_height_mask(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator) -> HeightMask | None:
     """The heights at which the radial pictures confirm structures of a horizontal one; None if it shows none."""
     scaled = carrier.source
-    pixels = scaled.rgb[(carrier.structure > 0.5) & (scaled.depth > 1.2 * carrier.rind)]
+    pixels = scaled.rgb[(carrier.structure > 0.5) & (scaled.depth > UNDER * carrier.rind)]
     if len(pixels) < 50:
         return None
     sample = pixels[rng.integers(len(pixels), size=4000)].astype(np.float64)
@@ -225,7 +226,7 @@ def make_height_mask(carrier: Layers, radial: Sequence[Layers], rng: np.random.G
     kinds = ((scaled.rgb[structure][:, None] - palette) ** 2).sum(-1).argmin(1)
     enclosed_pixels = structure.copy()
     enclosed_pixels[structure] = enclosed.any(1)[kinds]
-    inner = scaled.depth > 1.2 * carrier.rind
+    inner = scaled.depth > UNDER * carrier.rind
     return HeightMask(
         palette,
         opacity,

@@ -13,7 +13,7 @@ from scipy import ndimage
 from engine.scene.inside import InsideRecord
 from training.priors.exemplar.frames import ScaledPicture
 from training.priors.exemplar.layering.places import Places, Shape
-from training.priors.exemplar.layering.sheet import skin_weight
+from training.priors.exemplar.outline import skin_weight
 from training.priors.exemplar.record import MOST_SHEETS, RecordReader, nested
 from training.priors.exemplar.sampling import read_bilinear, reduced, smoothstep
 

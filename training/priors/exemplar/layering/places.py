@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.inside import InsideRecord
-from training.priors.exemplar.frames import ANGLES, MIN_SLICE_SHARE, Space, View, read_rims, rim_table
+from training.priors.exemplar.frames import DIRECTIONS, MIN_SLICE_SHARE, Space, View, read_reach, read_rims, rim_table
+from training.priors.exemplar.outline import ANGLES
 from training.priors.exemplar.patches import FIXED
 from training.priors.exemplar.record import RecordReader
 from training.priors.exemplar.sampling import read_trilinear
@@ -33,8 +34,8 @@ class Places:
 
     depth: NDArray[np.float32]
     """(M,). Depth under the skin over the body's inradius, at least 0."""
-    radius: NDArray[np.float32]
-    """(M,). Distance from the up axis."""
+    across: NDArray[np.float32]
+    """(M,). Distance from the up axis over `Space.reach` in the point's direction."""
     height: NDArray[np.float32]
     """(M,). Height along the up axis, range [-1, 1] over the body."""
     place: NDArray[np.float32]
@@ -57,6 +58,11 @@ class Places:
         return np.minimum(self.away / self.rim, 1)
 
     @property
+    def side(self) -> NDArray[np.int64]:
+        """(M,). Side of a radial picture on its own plane: 1 right, -1 left."""
+        return np.where(self.place[:, 0] < 0, -1, 1)
+
+    @property
     def angle(self) -> NDArray[np.float32]:
         """(M,). Angle around the axis in radians."""
         return np.arctan2(self.place[:, 1], self.place[:, 0])
@@ -67,8 +73,8 @@ class Shape:
     """The shape of a body, from which the places of points in it are found. Lengths are in cells."""
 
     inradius: float
-    widest: float
-    """Largest distance of the skin from the up axis (`Space.widest`)."""
+    reach: NDArray[np.float32]
+    """`Space.reach`."""
     half_height: float
     """Half the height of the body along the up axis."""
     up_basis: NDArray[np.float64]
@@ -103,7 +109,7 @@ class Shape:
         depth = space.body.depth[::DEPTH_STEP, ::DEPTH_STEP, ::DEPTH_STEP] / space.body.grid.cell
         return cls(
             float(space.inradius),
-            space.widest,
+            space.reach,
             space.half_height,
             space.basis,
             basis,
@@ -117,16 +123,19 @@ class Shape:
 
     def record(self) -> InsideRecord:
         """Arrays and facts from which `restored` makes the same shape."""
-        arrays = {name: getattr(self, name) for name in ("up_basis", "basis", "rims", "corner", "depth")}
-        names = "inradius", "widest", "half_height", "is_round", "lowest", "has_flat_ends"
+        arrays = {name: getattr(self, name) for name in ("reach", "up_basis", "basis", "rims", "corner", "depth")}
+        names = "inradius", "half_height", "is_round", "lowest", "has_flat_ends"
         return arrays, {name: getattr(self, name) for name in names}
 
     @classmethod
     def restored(cls, record: RecordReader) -> Shape:
         """The shape in a `record`. Raises ValueError if the record is not valid."""
+        reach = record.array("reach", np.float32, (DIRECTIONS,))
+        if not 1e-3 <= reach.min() <= reach.max() <= 1e5:
+            raise ValueError("a wrong reach")
         return cls(
             record.number("inradius", 1e-3, 1e5),
-            record.number("widest", 1e-3, 1e5),
+            reach,
             record.number("half_height", 1e-3, 1e5),
             record.array("up_basis", np.float64, (3, 3)),
             record.array("basis", np.float64, (3, 3)),
@@ -137,6 +146,11 @@ class Shape:
             record.array("corner", np.float64, (3,)),
             record.array("depth", np.float16, (None, None, None)),
         )
+
+    @property
+    def widest(self) -> float:
+        """Largest distance of the skin from the up axis."""
+        return float(self.reach.max())
 
     @cached_property
     def _samples(self) -> NDArray[np.float32]:
@@ -150,13 +164,17 @@ class Shape:
         planar = (points @ self.basis.T).astype(np.float32)
         away = np.hypot(planar[:, 0], planar[:, 1])
         level = planar[:, 2] - np.float32(self.lowest)
-        turn = np.arctan2(planar[:, 1], planar[:, 0]) / np.float32(2 * np.pi) % 1
         return Places(
             np.maximum(depth[:, 0] / np.float32(self.inradius), 0),
-            np.hypot(upright[:, 0], upright[:, 1]),
+            np.hypot(upright[:, 0], upright[:, 1]) / read_reach(self.reach, _turn(upright)),
             np.clip(upright[:, 2] / np.float32(self.half_height), -1, 1),
             planar[:, :2],
             away,
-            read_rims(self.rims, level, turn, away),
+            read_rims(self.rims, level, _turn(planar), away),
             level,
         )
+
+
+def _turn(position: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(M,). Angle in turns of positions (M, 2 or 3) around the axis across their first two. Range [0, 1]."""
+    return np.arctan2(position[:, 1], position[:, 0]) / np.float32(2 * np.pi) % 1

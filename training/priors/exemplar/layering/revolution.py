@@ -15,7 +15,7 @@ from training.priors.exemplar.layering.places import Places, Shape
 from training.priors.exemplar.layering.sheet import GROUND, STRUCTURE, TEXTURE, THROUGH, Sheet
 from training.priors.exemplar.record import MOST_SEED, RecordReader, nested
 from training.priors.exemplar.sampling import smoothstep
-from training.priors.exemplar.strata import beside_own, read_layers
+from training.priors.exemplar.strata import Fan, beside_own
 
 __all__ = ["Revolution"]
 
@@ -30,8 +30,6 @@ class Revolution:
     shape: Shape
     sheet: Sheet
     grain: Grain
-    rim: float
-    """Usual distance of the skin from the axis, cells."""
     seed: int
     """Seed of the texture's layers."""
 
@@ -40,10 +38,12 @@ class Revolution:
         return replace(self, sheet=self.sheet.reduced(n))
 
     @cached_property
+    def _fan(self) -> Fan:
+        return Fan(self.grain.thickness, self.shape.widest)
+
+    @cached_property
     def _strata(self) -> Strata:
-        # As thick as the grain is long at half the radius.
-        count = max(int(np.pi * self.rim / self.grain.thickness), 3)
-        return Strata(count, self.grain.thickness / self.shape.widest, self.seed)
+        return Strata(self._fan.count, self.grain.thickness / self.shape.widest, self.seed)
 
     @property
     def own_normal(self) -> NDArray[np.float64]:
@@ -52,9 +52,7 @@ class Revolution:
 
     def position(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M,), (M,). Place in the picture, cells, of points in the own plane."""
-        right, left = (radial_position(self.sheet, places, self.shape, side) for side in (1, -1))
-        is_right = places.place[:, 0] >= 0
-        return np.where(is_right, right[0], left[0]), np.where(is_right, right[1], left[1])
+        return radial_position(self.sheet, self.sheet.rind, places, self.shape, places.side)
 
     def read(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). Colours. Range [0, 1]."""
@@ -68,7 +66,12 @@ class Revolution:
         """(M,) and (M,). Opacity of the structures at points, and whether they end in the body."""
         opacity = np.zeros(len(places.angle), np.float32)
         for side, share in self._halves(places):
-            opacity += share * self.sheet.read(*radial_position(self.sheet, places, self.shape, side), STRUCTURE)[:, 0]
+            opacity += (
+                share
+                * self.sheet.read(*radial_position(self.sheet, self.sheet.rind, places, self.shape, side), STRUCTURE)[
+                    :, 0
+                ]
+            )
         return opacity, np.zeros(len(opacity), bool)
 
     def _halves(self, places: Places) -> tuple[tuple[int, NDArray[np.floating]], ...]:
@@ -78,7 +81,7 @@ class Revolution:
 
     def _half(self, places: Places, side: int) -> NDArray[np.float32]:
         """(M, 3). Colours of the right (side 1) or left (-1) half at points."""
-        x, y = radial_position(self.sheet, places, self.shape, side)
+        x, y = radial_position(self.sheet, self.sheet.rind, places, self.shape, side)
         straight = self.sheet.read(x, y, slice(0, THROUGH.stop))
         bare = straight[:, GROUND] + self._texture(places, x, y)
         return bare + straight[:, STRUCTURE] * (straight[:, THROUGH] - bare)
@@ -88,19 +91,19 @@ class Revolution:
         shape, strata, grain = self.shape, self._strata, self.grain
         swing = SWING * self.sheet.inradius * shape.inradius * np.array([grain.share_a, grain.share_b])
         points = np.concatenate([places.place / shape.widest, places.height[:, None]], axis=1)
-        height = places.angle / (2 * np.pi) * strata.count + strata.waves.at(points)
+        waves, turn = strata.waves.at(points), places.angle / (2 * np.pi)
 
         def read(layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
             u, v = swing[:, None] * strata.draw(layer)
             return self.sheet.read(x[rows] + u, y[rows] + v, TEXTURE)
 
         own = self.sheet.read(x, y, TEXTURE)
-        return beside_own(read_layers(height, read), own, places.place[:, 1] / grain.thickness)
+        return beside_own(self._fan.read(places.away, turn, waves, read), own, places.place[:, 1] / grain.thickness)
 
     def record(self) -> InsideRecord:
         """Arrays and facts from which `restored` makes the same revolution."""
         arrays, facts = nested({"sheet": self.sheet.record()})
-        return arrays, facts | {"grain": asdict(self.grain), "rim": self.rim, "seed": self.seed}
+        return arrays, facts | {"grain": asdict(self.grain), "seed": self.seed}
 
     @classmethod
     def restored(cls, record: RecordReader, shape: Shape) -> Revolution:
@@ -109,6 +112,5 @@ class Revolution:
             shape,
             Sheet.restored(record.part("sheet")),
             Grain.restored(record.part("grain")),
-            record.number("rim", 0, 1e5),
             record.count("seed", MOST_SEED),
         )

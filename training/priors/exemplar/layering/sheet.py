@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.inside import InsideRecord
-from training.priors.exemplar.frames import ANGLES, Outline
 from training.priors.exemplar.layering.decompose import Layers
+from training.priors.exemplar.outline import ANGLES, Outline
 from training.priors.exemplar.patches import OVER
 from training.priors.exemplar.record import RecordReader
-from training.priors.exemplar.sampling import read_bilinear, reduced, smoothstep
+from training.priors.exemplar.sampling import read_bilinear, reduced
 
 __all__ = ["DETAIL", "GROUND", "PICTURE", "STRUCTURE", "TEXTURE", "THROUGH", "Sheet"]
 
@@ -76,18 +76,6 @@ class Sheet(Outline):
         rows, columns = ((at * OVER - (n - 1) / 2) / n for at in (y, x))
         return read_bilinear(self.channels, rows, columns, channels)
 
-    def position(
-        self, angle: NDArray[np.floating], share: NDArray[np.floating], depth: NDArray[np.floating], inradius: float
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(M,), (M,). Place in the picture, in cells, of points of a body at an angle, a share of the rim and a depth
-        in inradii: at equal depth near the skin, at an equal share of the rim below. `inradius`: the body's, in
-        cells."""
-        rim = self.rim(angle)
-        by_depth = np.maximum(rim - self.inset(angle, depth * inradius), 0)
-        near = skin_weight(depth, self.rind)
-        r = near * by_depth + (1 - near) * share * rim
-        return self.middle[0] + r * np.cos(angle), self.middle[1] - r * np.sin(angle)
-
     def record(self) -> InsideRecord:
         """Arrays and facts from which `restored` makes the same sheet."""
         levels = np.round(self.channels * 255).astype(np.int16)
@@ -123,11 +111,6 @@ class Sheet(Outline):
             _from_levels(levels),
             record.array("labels", np.int32, (height, width)),
         )
-
-
-def skin_weight(depth: NDArray[np.floating], rind: float) -> NDArray[np.floating]:
-    """1 within the rind, falling smoothly to 0 below it."""
-    return 1 - smoothstep((depth - 1.1 * rind) / (0.7 * rind + 0.1))
 
 
 def _from_levels(levels: NDArray[np.int16]) -> NDArray[np.float32]:
