@@ -41,6 +41,7 @@ __all__ = [
     "scale_picture",
     "scale_to_voxels",
     "to_pixel",
+    "turn_of",
     "upright_factor",
     "voxel_gate",
 ]
@@ -121,12 +122,12 @@ class Space:
         direction = (self.turn[skin] * DIRECTIONS).astype(int) % DIRECTIONS
         each = [rim[direction == n] for n in range(DIRECTIONS)]
         farthest = [np.percentile(some if len(some) else rim, 95) for some in each]
-        return ndimage.gaussian_filter1d(np.array(farthest, np.float32), 1.0, mode="wrap")
+        return ndimage.gaussian_filter1d(farthest, 1.0, mode="wrap").astype(np.float32)
 
     @property
     def turn(self) -> NDArray[np.float32]:
         """(N,). Angle of the voxels around the axis in turns. Range [0, 1]."""
-        return np.arctan2(self.planar[:, 1], self.planar[:, 0]) / np.float32(2 * np.pi) % 1
+        return turn_of(self.planar)
 
     @cached_property
     def across(self) -> NDArray[np.float32]:
@@ -250,16 +251,14 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
 def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
     """(N,). The largest radius among the voxels (N, 3) of the same height and angle, in cells."""
     level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
-    angle = np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) % 1
-    return read_rims(rim_table(planar, radius), level, angle, radius)
+    return read_rims(rim_table(planar, radius), level, turn_of(planar), radius)
 
 
 def rim_table(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
     """(L, ANGLES + 2). The largest radius among voxels (N, 3) by height in cells above the lowest, and by angle, with
     the angles wrapped on both sides."""
     level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
-    angle = np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) % 1
-    turn = (angle * ANGLES).astype(int) % ANGLES
+    turn = (turn_of(planar) * ANGLES).astype(int) % ANGLES
     rims = np.zeros((level.max() + 1, ANGLES), np.float32)
     np.maximum.at(rims, (level, turn), radius)
     # Narrow slices have fewer voxels than angles: dilate over the angles, then smooth away the steps of the grid.
@@ -277,6 +276,11 @@ def read_rims(
     `radius` (M,) of the points themselves."""
     rim = read_bilinear(rims[..., None], level, turn * ANGLES + 0.5)[:, 0]
     return np.maximum(rim, np.maximum(radius, 0.5))
+
+
+def turn_of(planar: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(M,). Angle in turns of positions (M, 2 or 3) around the axis across their first two. Range [0, 1]."""
+    return (np.arctan2(planar[:, 1], planar[:, 0]) / np.float32(2 * np.pi) % 1).astype(np.float32)
 
 
 def read_reach(reach: NDArray[np.float32], turn: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -78,7 +78,8 @@ class Fan:
     @property
     def count(self) -> int:
         """How many layers there are in all."""
-        return self._before(np.int64(self._ring(np.array([self.widest]))[0] + 3))
+        last = self._ring(np.array([self.widest])).astype(np.int64)
+        return int(self._before(last + 3)[0])  # of rings that waves and a blend reach
 
     def read(
         self, radius: NDArray[np.floating], turn: NDArray[np.floating], waves: NDArray[np.floating], read: Read

@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.inside import InsideRecord
-from training.priors.exemplar.frames import DIRECTIONS, MIN_SLICE_SHARE, Space, View, read_reach, read_rims, rim_table
+from training.priors.exemplar.frames import (
+    DIRECTIONS,
+    MIN_SLICE_SHARE,
+    Space,
+    View,
+    read_reach,
+    read_rims,
+    rim_table,
+    turn_of,
+)
 from training.priors.exemplar.outline import ANGLES
 from training.priors.exemplar.patches import FIXED
 from training.priors.exemplar.record import RecordReader
@@ -166,15 +175,10 @@ class Shape:
         level = planar[:, 2] - np.float32(self.lowest)
         return Places(
             np.maximum(depth[:, 0] / np.float32(self.inradius), 0),
-            np.hypot(upright[:, 0], upright[:, 1]) / read_reach(self.reach, _turn(upright)),
+            (np.hypot(upright[:, 0], upright[:, 1]) / read_reach(self.reach, turn_of(upright))).astype(np.float32),
             np.clip(upright[:, 2] / np.float32(self.half_height), -1, 1),
             planar[:, :2],
             away,
-            read_rims(self.rims, level, _turn(planar), away),
+            read_rims(self.rims, level, turn_of(planar), away),
             level,
         )
-
-
-def _turn(position: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(M,). Angle in turns of positions (M, 2 or 3) around the axis across their first two. Range [0, 1]."""
-    return np.arctan2(position[:, 1], position[:, 0]) / np.float32(2 * np.pi) % 1
