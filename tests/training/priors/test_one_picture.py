@@ -128,17 +128,19 @@ def test_a_faint_membrane_runs_through(alone: InsideOf) -> None:
 
 
 def test_chambers_end_and_a_core_runs_through(tmp_path: Path) -> None:
-    """Five chambers around the axis are as tall as they are long; a wide core on the axis is as tall as the body."""
+    """Five chambers around the axis are as tall as they are long, though they are joined there; a wide core on the axis
+    is as tall as the body."""
     y, x = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1
     r, angle = np.hypot(x, y) / 0.9, np.arctan2(y, x)
     bend = (angle + np.pi / 5) % (2 * np.pi / 5) - np.pi / 5
     star = ((r * np.cos(bend) - 0.19) / 0.16) ** 2 + (r * np.sin(bend) / 0.07) ** 2 < 1
+    joined = ((r * np.cos(bend) - 0.17) / 0.18) ** 2 + (r * np.sin(bend) / 0.065) ** 2 < 1
     brown, pale = np.array([0.4, 0.25, 0.1]), np.array([0.95, 0.92, 0.8])
-    for number, (dark, runs) in enumerate(((star, False), (r < 0.2, True))):
+    for number, (dark, runs) in enumerate(((star, False), (joined, False), (r < 0.2, True))):
         rgb = np.where(dark[..., None], brown, np.where((r > 0.9)[..., None], RIND, pale))
         picture = save(tmp_path / f"{number}.png", np.where((r < 1)[..., None], rgb, 0.0))
         inside = solved("horizontal", picture)
         for height, share in ((0.0, 1.0), (0.03, 1.0), (0.3, float(runs)), (-0.3, float(runs))):
             cut = section(inside, (np.sqrt(1 - height**2), 0, 0), (0, np.sqrt(1 - height**2), 0), (0, 0, height))
             found = np.linalg.norm(cut - pale, axis=-1)[within(0.5)] > 0.4
-            assert found.sum() == pytest.approx(share * dark.sum(), abs=0.35 * dark.sum()), height
+            assert found.sum() == pytest.approx(share * dark.sum(), abs=(0.35 if share else 0.02) * dark.sum()), height

@@ -51,7 +51,7 @@ from training.priors.exemplar.quilting.inside import FILM, QuiltInside
 from training.priors.exemplar.quilting.labels import made_of_grains
 from training.priors.exemplar.quilting.persistence import find_membranes
 from training.priors.exemplar.quilting.quilt import make_quilt
-from training.priors.exemplar.quilting.things.cores import show_core_that_ends
+from training.priors.exemplar.quilting.things.cores import show_chambers, show_core_that_ends
 from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS
 from training.priors.exemplar.sharpen import sharpen
 from training.priors.prior import Progress, Volume
@@ -79,7 +79,8 @@ def solve(
 
     It has fewer cells if the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Horizontal and radial pictures that
     disagree where they meet, or show a core that ends, are quilted, unless they show the `same` thing; so is one of
-    these families that shows things close together, which no layer can continue. All others continue layer by layer.
+    these families that shows things close together or chambers around the axis, which no layer can continue. All others
+    continue layer by layer.
     Raises InputError if no family has an exemplar or a picture cannot be used.
     """
     families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
@@ -115,6 +116,7 @@ def solve(
         if len(views) == 1:
             kind = RADIAL if views[0].kind == RADIAL else POLAR
             is_quilted = made_of_grains(discs[kind][0], kind == POLAR)
+            is_quilted = is_quilted or (kind == POLAR and show_chambers(discs[POLAR]))
         else:
             is_quilted = not same and (
                 not show_one_thing(discs[POLAR], discs[RADIAL])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import regionprops
 
+from engine.solid.distance_transform import depth_in
 from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball, OwnHeight
 from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, disc_radius, evened
 from training.priors.exemplar.quilting.labels import Label, Source, made_of_grains
@@ -18,7 +19,7 @@ from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import COMPACT, MARGIN, NEAR, Core, Profile, find_shape, seen_along
 from training.priors.exemplar.quilting.things.widths import MOST, widths_along
 
-__all__ = ["Cores", "find_core", "find_cores", "show_core_that_ends"]
+__all__ = ["Cores", "find_core", "find_cores", "show_chambers", "show_core_that_ends"]
 
 ALONE = 0.015
 """Distance in radii from a picture's own plane within which other pictures' cores fade: the plane shows its picture."""
@@ -26,6 +27,10 @@ ALONE = 0.015
 WHOLE_ALONE = 0.006
 """The same for a core in one piece, which passes through all planes: it is back where a radial picture closes beside
 its own."""
+
+ONE_BODY = 0.25
+"""Least share of a core's area in its largest inscribed circle if it is one body on the axis. In photographs of five
+apples it is 0.12 to 0.17, of three oranges 0.39 to 0.60."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +187,16 @@ def show_core_that_ends(across: Sequence[Disc], along: Sequence[Disc], height: f
     if isinstance(core, Column) or not core.reach:
         return False
     return not any(made_of_grains(one, one is disc) for one in [disc, *along])
+
+
+def show_chambers(across: Sequence[Disc]) -> bool:
+    """Whether the first horizontal face shows parts around the axis, such as an apple's star. Each is closed: a quilt
+    lays it as a solid, where layers would show a column of them."""
+    disc = across[0]
+    core = find_core(disc, rind_of(disc, True)[0], [], 0.0, 0.0)
+    if isinstance(core, Column) or not core.shape.any():
+        return False
+    return bool(np.pi * depth_in(core.shape).max() ** 2 < ONE_BODY * core.shape.sum())
 
 
 def _passed(depth: NDArray[np.floating]) -> NDArray[np.floating]:
