@@ -58,20 +58,24 @@ class Outline:
         depth: NDArray[np.floating],
         inradius: float,
         rind: float,
+        reaches_rind: bool = False,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M,), (M,). Place in the picture, in cells, of points of a body at an angle, a share of the rim and a depth
         in inradii: at equal depth near the skin, at an equal share of the rim below, but in no rind. `inradius`: the
-        body's, in cells. `rind`: thickness of the layers along the skin, in inradii."""
+        body's, in cells. `rind`: thickness of the layers along the skin, in inradii. `reaches_rind`: whether the share
+        counts down to the rind, as for a core or a membrane that joins it."""
         rim = self.rim(angle)
         by_depth = np.maximum(rim - self.inset(angle, depth * inradius), 0)
         under_rind = np.maximum(rim - self.inset(angle, np.minimum(depth, UNDER * rind) * inradius), 0)
-        near = skin_weight(depth, rind)
+        near = skin_weight(depth, rind, narrow=reaches_rind)
         r = near * by_depth + (1 - near) * np.minimum(share * rim, under_rind)
         return self.middle[0] + r * np.cos(angle), self.middle[1] - r * np.sin(angle)
 
 
-def skin_weight(depth: NDArray[np.floating], rind: float) -> NDArray[np.floating]:
-    """1 within the rind, falling smoothly to 0 below it."""
+def skin_weight(depth: NDArray[np.floating], rind: float, narrow: bool = False) -> NDArray[np.floating]:
+    """1 within the rind, falling smoothly to 0 below it; in a narrow zone, right below it."""
+    if narrow:
+        return 1 - smoothstep((depth - rind) / ((UNDER - 1) * rind + 0.02))
     return 1 - smoothstep((depth - 1.1 * rind) / (0.7 * rind + 0.1))
 
 

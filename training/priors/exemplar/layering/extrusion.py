@@ -90,22 +90,21 @@ class Extrusion:
         )
         rgb = sheet.read(*under, GROUND)
         rgb += self._texture(places, angle, share, x, y)
-        opacity, through, _ = self._structures(places, angle, x, y)
+        opacity, through, _ = self._structures(places, angle, share)
         return np.clip(rgb + opacity * (through - rgb), 0, 1)
 
     def structures(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """(M,) and (M,). Opacity of the structures at points, and whether they end in the body."""
-        angle = self._angle(places)
-        x, y = self.sheet.position(angle, self._share(places), places.depth, self.shape.inradius, self.sheet.rind)
-        opacity, _, height = self._structures(places, angle, x, y)
+        opacity, _, height = self._structures(places, self._angle(places), self._share(places))
         return opacity[:, 0], height < RUNS_THROUGH
 
     def _structures(
-        self, places: Places, angle: NDArray[np.floating], x: NDArray[np.float32], y: NDArray[np.float32]
+        self, places: Places, angle: NDArray[np.floating], share: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """(M, 1), (M, 3) and (M,). Opacity, colour and height of structures at points that show the picture at x and
-        y."""
+        """(M, 1), (M, 3) and (M,). Opacity, colour and height of structures at points that show the picture at this
+        angle and share of its rim."""
         sheet, depth = self.sheet, places.depth
+        x, y = sheet.position(angle, share, depth, self.shape.inradius, sheet.rind, reaches_rind=True)
         structure = sheet.read(x, y, _STRUCTURES)
         opacity, through, height = structure[:, :1], structure[:, 1:4], structure[:, 4]
         # On a small slice the picture shrinks, but a membrane keeps its thickness.
