@@ -29,7 +29,7 @@ from training.priors.exemplar.quilting.disc import (
     smooth_disc,
 )
 from training.priors.exemplar.sampling import blurred, lengths, smoothstep
-from training.priors.exemplar.strata import LAYER, Fan, Waves, read_layers
+from training.priors.exemplar.strata import LAYER, Waves, read_layers
 
 __all__ = ["FINE", "WIDTH", "Parts", "TextureField", "take_apart"]
 
@@ -105,8 +105,7 @@ class TextureField:
         """`textures`: of the pictures of one family."""
         self.textures, self.is_horizontal = [_everywhere(texture) for texture in textures], is_horizontal
         self.thickness = max(LAYER * float(np.mean([_grain(t) for t in textures])), THINNEST)
-        self._fan = Fan(self.thickness, REACH)
-        layers = int(2 * REACH / self.thickness) + 4 if is_horizontal else self._fan.count
+        layers = int(2 * REACH / self.thickness) + 4 if is_horizontal else int(np.pi / self.thickness)
         self._turns = rng.uniform(0, 2 * np.pi, layers)
         self._shifts = SHIFT * rng.standard_normal((layers, 2))
         self._mirrors = rng.choice([-1.0, 1.0], layers)
@@ -121,14 +120,14 @@ class TextureField:
 
     def at(self, ball: Ball) -> NDArray[np.float32]:
         """(M, 3). The texture at the points."""
-        waves = self._waves.at(ball.points)
-
-        def read(layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
-            return self._layer(ball, layer % len(self._turns), rows)
-
+        count = len(self._turns)
         if self.is_horizontal:
-            return read_layers((ball.points[:, 2] + REACH) / self.thickness + waves, read)
-        return self._fan.read(ball.radius, ball.angle / (2 * np.pi), waves, read)
+            height = (ball.points[:, 2] + REACH) / self.thickness
+        else:
+            height = (ball.angle / (2 * np.pi) + 1) * count
+        return read_layers(
+            height + self._waves.at(ball.points), lambda layer, rows: self._layer(ball, layer % count, rows)
+        )
 
     def _layer(self, ball: Ball, layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
         """(R, 3). The texture of layers (R,) at some rows (R,) of the points."""
