@@ -19,8 +19,10 @@ from engine.scene.grid import Body
 from training.faces.marks import Marks
 from training.faces.polygon import polygon_mask
 from training.families import Family
-from training.priors.exemplar.pictures import axis_of, make_picture
+from training.priors.exemplar.pictures import Picture, axis_of, make_picture
 from training.priors.exemplar.placement import OwnPlane, bend_picture, find_own_plane
+from training.priors.exemplar.quilting.disc import Disc
+from training.priors.exemplar.quilting.labels import made_of_grains
 
 __all__ = ["Placed", "PlacementPreview", "PlacementRequest"]
 
@@ -77,6 +79,7 @@ class PlacementPreview:
         self._done: tuple[PlacementRequest, Placed] | None = None
         self._body: tuple[Atoms, Body] | None = None
         self._plane: tuple[object, OwnPlane] | None = None
+        self._grains: tuple[NDArray[np.uint8], bool] | None = None
 
     def update(self, wanted: PlacementRequest) -> Placed | None:
         """Starts the placement, unless it is done or another one is being made; returns the last finished placement of
@@ -120,7 +123,15 @@ class PlacementPreview:
             picture = make_picture(Path("the picture"), rgb, mask, kind, marks)
         except InputError as error:
             return Placed(marks, problem=str(error))
-        return Placed(marks, plane, bend_picture(picture, plane))
+        return Placed(
+            marks, plane, bend_picture(picture, plane, plane.turned is not None and self._has(wanted, picture))
+        )
+
+    def _has(self, wanted: PlacementRequest, picture: Picture) -> bool:
+        """Whether a radial picture is made of grains. That takes most of a second, and its marks hardly change it."""
+        if self._grains is None or self._grains[0] is not wanted.rgb:
+            self._grains = (wanted.rgb, made_of_grains(Disc.of(picture), False))
+        return self._grains[1]
 
     def _plane_of(self, wanted: PlacementRequest, atoms: Atoms) -> OwnPlane:
         """The own plane of the family in the object, found again only if either has changed."""

@@ -32,6 +32,7 @@ from engine.render.gl import Renderer
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from tests.helpers.exemplar_faces import RIND, disc, save
 from tests.helpers.solids import unturned
+from tests.paths import SHARED
 from training.faces.marks import UNMARKED, Marks
 from training.faces.polygon import mask_polygon, polygon_mask
 from training.families import Family, Kind
@@ -292,6 +293,27 @@ def test_a_picture_follows_its_outline_and_axis_on_the_object(tmp_path: Path, me
     turned = placed_again(session, upright)
     assert turned.rgba is not None and upright.rgba is not None
     assert np.abs(turned.rgba.astype(int) - upright.rgba)[inner].mean() > 2
+
+
+@pytest.mark.parametrize(("name", "is_turned"), [("pomegranate_v5", False), ("apple_v1", True)])
+def test_a_radial_picture_alone_is_turned_unless_it_has_grains(name: str, is_turned: bool) -> None:
+    """As training does: arils are laid whole by a quilt, though the picture is alone."""
+    path = SHARED / f"photos/fruit/{name}.png"
+    if not path.exists():
+        pytest.skip("the shared photographs are not here")
+    found = find_face_in(path)
+    shown = []
+    for alone in (True, False):
+        preview, end = PlacementPreview(), time.monotonic() + 60
+        family = Family("radial", 1)
+        wanted = PlacementRequest(found.rgb, found.marks, family, ball_of_atoms(), (0.0, 0.0, 1.0), alone)
+        while (placed := preview.update(wanted)) is None or preview.busy:
+            assert time.monotonic() < end
+            time.sleep(0.005)
+        preview.close()
+        assert placed.rgba is not None
+        shown.append(placed.rgba)
+    assert np.array_equal(shown[0], shown[1]) != is_turned
 
 
 def test_of_many_wishes_the_preview_makes_the_last(melon: Path) -> None:

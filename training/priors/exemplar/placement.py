@@ -76,7 +76,7 @@ class OwnPlane:
     proportions: float | None
     """Width over height of the body in the family's cuts; None if its pictures may be turned."""
     turned: Turned | None
-    """How pictures are turned about the axis instead, if they are."""
+    """How pictures are turned about the axis instead, if they are; those of grains are not."""
     inside: NDArray[np.float32]
     """(PIXELS, PIXELS). Fraction of each pixel that is inside the body. Range [0, 1]."""
 
@@ -125,13 +125,14 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family, alone: b
     )
 
 
-def bend_picture(picture: Picture, plane: OwnPlane) -> NDArray[np.uint8]:
+def bend_picture(picture: Picture, plane: OwnPlane, has_grains: bool = False) -> NDArray[np.uint8]:
     """(PIXELS, PIXELS, 4). What the body shows on a picture's own plane, with straight alpha, 0 outside of the body.
 
     This follows the law by which training places it: each direction from the core is stretched to the body's outline,
-    once the body has the picture's proportions, if these are to be seen and are not nearly its own.
+    once the body has the picture's proportions, if these are to be seen and are not nearly its own. `has_grains`:
+    whether it is made of grains (`made_of_grains`), and is quilted though it is alone.
     """
-    if plane.turned is not None:
+    if plane.turned is not None and not has_grains:
         rgb = plane.turned.read(picture).reshape(PIXELS, PIXELS, 3)
         return to_8bit(np.concatenate([np.clip(rgb, 0, 1), plane.inside[..., None]], -1))
     x, y = np.moveaxis(plane.places, -1, 0)

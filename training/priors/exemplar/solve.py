@@ -115,8 +115,8 @@ def solve(
         discs = _discs(views, taken)  # in their own light, which is part of the question
         if len(views) == 1:
             kind = RADIAL if views[0].kind == RADIAL else POLAR
-            is_quilted = made_of_grains(discs[kind][0], kind == POLAR)
-            is_quilted = is_quilted or (kind == POLAR and show_chambers(discs[POLAR]))
+            has_chambers = kind == POLAR and show_chambers(discs[POLAR])
+            is_quilted = has_chambers or made_of_grains(discs[kind][0], kind == POLAR)
         else:
             is_quilted = not same and (
                 not show_one_thing(discs[POLAR], discs[RADIAL])

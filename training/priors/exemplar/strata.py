@@ -2,8 +2,9 @@
 
 A picture shows its texture in one plane only. Extended along the axis it would become rods, and sheared or drifting,
 wavy lines. In layers across the axis, about as thick as the grain is long, every cut shows as much texture as the
-picture, and cuts parallel to the picture show it as it was photographed. Layers around an axis (`Fan`) split in two
-where they become too thick: wedges from the axis to the skin would be rays about the one and bars under the other.
+picture, and cuts parallel to the picture show it as it was photographed. A picture that is turned about an
+axis has its layers around it (`Fan`). They split in two where they become too thick: wedges from the axis to the skin
+would be rays about the one and bars under the other.
 """
 
 from __future__ import annotations

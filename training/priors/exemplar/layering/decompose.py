@@ -94,7 +94,10 @@ def decompose(scaled: ScaledPicture, kind: Frame, membranes: NDArray[np.float32]
 
     `membranes` (H, W): how surely each pixel shows a membrane, which is a structure however faint it is. Range [0, 1].
     """
-    rind, followed = (rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=g) for g in (kind != RADIAL, True))
+    rind = followed = rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=True)
+    if kind == RADIAL:
+        # What lies along the skin stays as it is, such as a cake's coat, but its top layer does not follow the sides.
+        rind = rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=False)
     core = scaled.depth > rind
     inradius = float(depth_in(scaled.depth > 0).max())  # pixels
     picture = _fill_mirrored(scaled.rgb, core)

@@ -66,12 +66,8 @@ class Revolution:
         """(M,) and (M,). Opacity of the structures at points, and whether they end in the body."""
         opacity = np.zeros(len(places.angle), np.float32)
         for side, share in self._halves(places):
-            opacity += (
-                share
-                * self.sheet.read(*radial_position(self.sheet, self.sheet.rind, places, self.shape, side), STRUCTURE)[
-                    :, 0
-                ]
-            )
+            x, y = radial_position(self.sheet, self.sheet.rind, places, self.shape, side)
+            opacity += share * self.sheet.read(x, y, STRUCTURE)[:, 0]
         return opacity, np.zeros(len(opacity), bool)
 
     def _halves(self, places: Places) -> tuple[tuple[int, NDArray[np.floating]], ...]:
