@@ -20,7 +20,7 @@ from engine.solid.distance_transform import depth_in
 from training.faces.background import Background, find_background, find_main_surface, find_pattern, is_patterned
 from training.faces.completion import NEAR_BORDER, find_oval
 from training.faces.edges import BARE, HALF, SKINNED, THIRD_COLOUR, nearest, skin_share
-from training.faces.outline import find_mask, is_dimmed_around, largest_component
+from training.faces.outline import CutOffError, find_central, find_mask, is_dimmed_around, largest_component
 from training.faces.shadow import SHADE, light_around
 
 __all__ = ["SeenFace", "find_seen_face"]
@@ -87,22 +87,23 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
     without what the face lies on. Raises InputError as `find_mask` does."""
     plain = find_background(rgb)
     patterned = is_patterned(plain)
-    refusal = None
-    try:
-        mask = None if patterned else find_mask(rgb, name, plain)
-    except InputError as error:
-        mask, refusal = None, error
+    mask, refusal = (None, None) if patterned else _found_or_refused(rgb, name, plain)
     if mask is None:
         # Where a plate crosses the border, the face on it may well not.
         on_it = _on_what_crosses_the_border(rgb, plain)
         if on_it is not None:
             return SeenFace(on_it, _TAKEN_OFF)
-        if refusal is not None:
-            raise refusal
-        before_pattern = _before_pattern(rgb)
-        if before_pattern is not None:
-            return SeenFace(before_pattern, _PATTERN)
-        mask = find_mask(rgb, name, plain)
+        if refusal is None:
+            before_pattern = _before_pattern(rgb)
+            if before_pattern is not None:
+                return SeenFace(before_pattern, _PATTERN)
+            mask, refusal = _found_or_refused(rgb, name, plain)
+    if isinstance(refusal, CutOffError):
+        # Before bricks or a kitchen, what reaches the border may be no part of the face.
+        mask, patterned = find_central(rgb), True
+    if mask is None:
+        assert refusal is not None
+        raise refusal
     mask, note = _without_arm(mask)
     if patterned:
         note = note or _PATTERN
@@ -121,6 +122,16 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
             break
         mask, note = found, _TAKEN_OFF
     return SeenFace(mask, note or (_RIM if is_dimmed_around(rgb, mask) else ""))
+
+
+def _found_or_refused(
+    rgb: NDArray[np.float32], name: object, plain: Background | None
+) -> tuple[NDArray[np.bool_] | None, InputError | None]:
+    """(H, W). The face before a plain background, or why there is none."""
+    try:
+        return find_mask(rgb, name, plain), None
+    except InputError as error:
+        return None, error
 
 
 _LOOK = "see whether its outline is right"

@@ -7,6 +7,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
+import skimage.data
 from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
@@ -185,6 +186,35 @@ def test_nothing_is_found_on_a_cloth_alone_or_where_the_border_cuts_the_face() -
     for picture in (cloth(), over(lay(cloth(), r < 0.8, [0.3, 0.45, 0.12]), r < 0.74, [0.5, 0.7, 0.2])):
         with pytest.raises(InputError):
             find_seen_face(photographed(picture), "cloth")
+
+
+def bricks() -> NDArray:
+    """A photograph of a wall, as scikit-image brings it along."""
+    wall = cv2.resize(skimage.data.brick(), (SIZE, SIZE), interpolation=cv2.INTER_AREA)
+    return np.repeat(wall[..., None] / 255, 3, -1)
+
+
+def test_a_face_before_bricks_is_found_and_the_user_told_to_look() -> None:
+    picture, truth = fruit(bricks())
+    found = find_seen_face(photographed(picture), "bricks")
+    assert mask_iou(found.mask, truth) > 0.9  # the thin rind is nearly as dark as the wall
+    assert "has several colours" in found.note
+
+
+@pytest.mark.parametrize("name", ["apple_h3", "orange_v6", "pomegranate_h1", "watermelon_h11"])
+def test_photographed_faces_before_bricks(name: str) -> None:
+    large = [cv2.resize(a.astype(np.float32), (SIZE, SIZE), interpolation=cv2.INTER_AREA) for a in real(name)]
+    smaller = np.array([[0.7, 0, SIZE / 5], [0, 0.7, SIZE / 8]])
+    rgb, small = (cv2.warpAffine(a, smaller, (SIZE, SIZE)) for a in large)
+    found = find_seen_face(photographed(lay(bricks(), small > 0.5, rgb)), name)
+    assert mask_iou(found.mask, small > 0.5) > 0.95
+
+
+def test_nothing_is_found_before_bricks_alone_or_where_the_border_cuts_the_face() -> None:
+    r = np.hypot(X - 0.9, Y)
+    for picture in (bricks(), over(lay(bricks(), r < 0.8, [0.3, 0.45, 0.12]), r < 0.74, [0.5, 0.7, 0.2])):
+        with pytest.raises(InputError):
+            find_seen_face(photographed(picture), "bricks")
 
 
 @pytest.mark.parametrize("shade", [0.62, 0.4])
