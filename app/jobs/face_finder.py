@@ -16,8 +16,8 @@ from engine.io.files import open_file
 from engine.scene.image import to_8bit
 from training.faces.axis import CutGuess, guess_cut
 from training.faces.carrier import SeenFace, find_seen_face
+from training.faces.edges import largest_component
 from training.faces.marks import UNMARKED, Marks, axis_beside, mask_beside, read_axis_file
-from training.faces.outline import largest_component
 from training.faces.polygon import mask_polygon
 from training.priors.exemplar.pictures import axis_of, read_photograph
 

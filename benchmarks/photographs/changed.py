@@ -140,22 +140,41 @@ def noisy(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
     return np.clip(rgb + noise, 0, 1).astype(np.float32), mask
 
 
+def laid(on: Pixels, face: Pixels, mask: Mask) -> Pixels:
+    """A picture (H, W, 3) on which a face (H, W, 3) lies that casts a shadow of 40 %."""
+    nearest = ndimage.distance_transform_edt(
+        ~ndimage.binary_erosion(mask, iterations=2), return_distances=False, return_indices=True
+    )
+    share = ndimage.gaussian_filter(mask.astype(np.float32), 0.8)[..., None]
+    return shadowed(0.4)(on, mask)[0] * (1 - share) + face[tuple(nearest)] * share
+
+
 def before(name: str) -> Change:
-    """Cut out and laid, with a shadow of 40 %, on a photograph that comes with scikit-image."""
+    """Cut out and laid on a photograph that comes with scikit-image."""
 
     def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
-        inner = ndimage.binary_erosion(mask, iterations=2)
-        nearest = ndimage.distance_transform_edt(~inner, return_distances=False, return_indices=True)
         margin = int(0.3 * max(mask.shape))
-        face, mask = np.pad(rgb[tuple(nearest)], ((margin, margin), (margin, margin), (0, 0))), np.pad(mask, margin)
-        behind = read_pixels(Path(skimage.data.__file__).with_name(name))[..., :3]
-        scale = max(there / side for there, side in zip(mask.shape, behind.shape[:2], strict=True))
-        larger = np.asarray(cv2.resize(behind / np.float32(255), None, fx=scale * 1.01, fy=scale * 1.01), np.float32)
-        shown, _ = shadowed(0.4)(larger[: mask.shape[0], : mask.shape[1]], mask)
-        share = ndimage.gaussian_filter(mask.astype(np.float32), 0.8)[..., None]
-        return shown * (1 - share) + face * share, mask
+        rgb = np.pad(rgb, ((margin, margin), (margin, margin), (0, 0))).astype(np.float32)
+        mask = np.pad(mask, margin)
+        pixels = read_pixels(Path(skimage.data.__file__).with_name(name))[..., :3]
+        scale = 1.01 * max(there / side for there, side in zip(mask.shape, pixels.shape[:2], strict=True))
+        behind = np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale), np.float32) / np.float32(255)
+        return laid(behind[: mask.shape[0], : mask.shape[1]], rgb, mask), mask
 
     return change
+
+
+def overlapping(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+    """Over its mirror image, by a fifth of its width, on the colour of the picture's border."""
+    around = border_colour(rgb)
+    rgb, mask = tight(rgb, mask)
+    margin, width = int(0.2 * max(mask.shape)), mask.shape[1]
+    rest = margin + width * 4 // 5
+    left, right = ((margin, margin), (margin, rest)), ((margin, margin), (rest, margin))
+    shown = np.broadcast_to(around, (*np.pad(mask, left).shape, 3)).astype(np.float32)
+    for side, face, there in ((right, rgb[:, ::-1], mask[:, ::-1]), (left, rgb, mask)):
+        shown = laid(shown, np.pad(face, (*side, (0, 0))), np.pad(there, side))
+    return shown, np.pad(mask, left)
 
 
 def border_colour(rgb: Pixels) -> NDArray[np.float32]:
@@ -187,6 +206,7 @@ CHANGES: dict[str, Change] = {
     "noise": noisy,
     "before bricks": before("brick.png"),
     "in a workshop": before("motorcycle_left.png"),
+    "over another": overlapping,
 }
 
 

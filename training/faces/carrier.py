@@ -18,9 +18,10 @@ from scipy import ndimage
 from engine.errors import InputError
 from engine.solid.distance_transform import depth_in
 from training.faces.background import Background, find_background, find_main_surface, find_pattern, is_patterned
+from training.faces.bulges import find_front
 from training.faces.completion import NEAR_BORDER, find_oval
-from training.faces.edges import BARE, HALF, SKINNED, THIRD_COLOUR, nearest, skin_share
-from training.faces.outline import CutOffError, find_central, find_mask, is_dimmed_around, largest_component
+from training.faces.edges import BARE, HALF, SKINNED, THIRD_COLOUR, largest_component, nearest, skin_share
+from training.faces.outline import CutOffError, find_central, find_mask, is_dimmed_around
 from training.faces.shadow import SHADE, light_around
 
 __all__ = ["SeenFace", "find_seen_face"]
@@ -104,7 +105,8 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
     if mask is None:
         assert refusal is not None
         raise refusal
-    mask, note = _without_arm(mask)
+    front = find_front(rgb, mask)
+    mask, note = _without_arm(mask) if front is None else (front, _TOUCHING)
     if patterned:
         note = note or _PATTERN
     if np.percentile(np.ptp(rgb[mask], axis=1), 95) < THIRD_COLOUR:
@@ -136,6 +138,7 @@ def _found_or_refused(
 
 _LOOK = "see whether its outline is right"
 _ARM = f"what reaches from the border to the cut face is left out; {_LOOK}"
+_TOUCHING = f"something else seems to touch the cut face or to lie behind it, and is left out; {_LOOK}"
 _TAKEN_OFF = f"the cut face seems to lie on a plate or board, which is left out; {_LOOK}"
 _PATTERN = f"what is behind the cut face has several colours, which a face may share; {_LOOK}"
 _RIM = f"it is dark on all sides of the cut face, where a rind or crust in the colour of the table may be; {_LOOK}"

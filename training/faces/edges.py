@@ -21,6 +21,7 @@ __all__ = [
     "cheapest_path",
     "edge_cost",
     "edge_strength",
+    "largest_component",
     "nearest",
     "rims_apart",
     "skin_share",
@@ -117,6 +118,16 @@ def _from_mixtures(
 def nearest(known: NDArray[np.bool_]) -> NDArray[np.int32]:
     """(2, H, W). Row and column of the nearest place that is `known` (H, W)."""
     return ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+
+
+def largest_component(found: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest connected component with its holes filled: a hole is a dark or white part of the face."""
+    parts, count = ndimage.label(found)
+    if count == 0:
+        return np.zeros_like(found)
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    return ndimage.binary_fill_holes(parts == sizes.argmax())
 
 
 @njit(cache=True, nogil=True)

@@ -23,11 +23,22 @@ from engine.threads import side_by_side
 from training.faces.background import Background, find_background
 from training.faces.bulges import without_bulges
 from training.faces.completion import NEAR_BORDER, find_oval
-from training.faces.edges import BARE, EDGE_GAIN, HALF, MIXED, edge_cost, edge_strength, nearest, rims_apart, skin_share
+from training.faces.edges import (
+    BARE,
+    EDGE_GAIN,
+    HALF,
+    MIXED,
+    edge_cost,
+    edge_strength,
+    largest_component,
+    nearest,
+    rims_apart,
+    skin_share,
+)
 from training.faces.shadow import SECTORS, SHADE, light_around
 from training.faces.side import without_side
 
-__all__ = ["CutOffError", "find_central", "find_mask", "is_dimmed_around", "largest_component"]
+__all__ = ["CutOffError", "find_central", "find_mask", "is_dimmed_around"]
 
 MIN_SHARE = 0.02
 """Least fraction of the picture that a cut face covers; anything smaller is a crumb on an empty table."""
@@ -195,16 +206,6 @@ def is_dimmed_around(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> bool:
     if around is None or len(around.lights) < SECTORS / 2:
         return False
     return bool(np.percentile(around.lights, LIT_SIDE) < SHADE)
-
-
-def largest_component(found: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The largest connected component with its holes filled: a hole is a dark or white part of the face."""
-    parts, count = ndimage.label(found)
-    if count == 0:
-        return np.zeros_like(found)
-    sizes = np.bincount(parts.ravel())
-    sizes[0] = 0
-    return ndimage.binary_fill_holes(parts == sizes.argmax())
 
 
 def _grab_cut(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from training.faces.edges import largest_component
 from training.faces.marks import Place
-from training.faces.outline import largest_component
 from training.faces.polygon import mask_polygon, polygon_mask
 
 __all__ = ["BrushStroke", "Outline", "drag_point", "nearest_point", "refine"]

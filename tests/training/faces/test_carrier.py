@@ -188,6 +188,35 @@ def test_nothing_is_found_on_a_cloth_alone_or_where_the_border_cuts_the_face() -
             find_seen_face(photographed(picture), "cloth")
 
 
+def small_fruit(under: NDArray, x: float, is_cut: bool = True) -> tuple[NDArray, Mask]:
+    """A fruit of half the width at a place across the picture, as its face or whole."""
+    r = np.hypot(X - x, Y)
+    picture = lay(under, r < 0.4, [0.75, 0.45, 0.1])
+    return (over(picture, r < 0.36, [0.95, 0.75, 0.3]) if is_cut else picture), r < 0.4
+
+
+@pytest.mark.parametrize("behind", [True, False], ids=["half", "whole"])
+@pytest.mark.parametrize("apart", [0.55, 0.65, 0.79])
+def test_of_two_that_touch_or_overlap_the_face_in_front_is_found(apart: float, behind: bool) -> None:
+    picture, _ = small_fruit(table(), apart / 2, behind)
+    picture, truth = small_fruit(picture, -apart / 2)
+    found = find_seen_face(photographed(picture), "two")
+    assert mask_iou(found.mask, truth) > 0.93  # a pixel around a disc 77 wide is a twentieth of it
+    assert "something else seems to touch" in found.note
+
+
+@pytest.mark.parametrize("name", ["apple_h3", "orange_h1", "orange_v3", "watermelon_v11"])
+def test_a_photographed_face_in_front_of_another(name: str) -> None:
+    large = [cv2.resize(a.astype(np.float32), (SIZE, SIZE), interpolation=cv2.INTER_AREA) for a in real(name)]
+    picture = table()
+    for across in (0.4, 0.02):
+        smaller = np.array([[0.55, 0, SIZE * across], [0, 0.55, SIZE / 5]])
+        rgb, shown = (cv2.warpAffine(a, smaller, (SIZE, SIZE)) for a in large)
+        truth = shown > 0.5
+        picture = lay(picture, truth, rgb)
+    assert mask_iou(find_seen_face(photographed(picture), name).mask, truth) > 0.9
+
+
 def bricks() -> NDArray:
     """A photograph of a wall, as scikit-image brings it along."""
     wall = cv2.resize(skimage.data.brick(), (SIZE, SIZE), interpolation=cv2.INTER_AREA)

@@ -18,8 +18,8 @@ from training.faces.axis import find_core
 from training.faces.carrier import SeenFace, find_seen_face
 from training.faces.completion import complete_face, is_cut_off
 from training.faces.core_line import find_core_line, lean_of, line_ends
+from training.faces.edges import largest_component
 from training.faces.marks import UNMARKED, Marks, axis_beside, mask_beside, read_axis_file
-from training.faces.outline import largest_component
 from training.faces.polygon import polygon_mask
 from training.families import Kind
 from training.priors.exemplar.lighting import flatten_light
