@@ -9,13 +9,12 @@ the edge of the one in front runs through.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.solid.distance_transform import depth_in
-from training.faces.completion import NEAR_BORDER
+from training.faces.completion import NEAR_BORDER, fit_oval
 from training.faces.edges import (
     EDGE_GAIN,
     HALF,
@@ -75,11 +74,14 @@ def find_front(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.
         own = mask & (owner == lobe)
         away = depth_in(~(mask & ~own))
         rows, columns = np.nonzero(rim & own & (away > max(MIXED, AWAY * neck)))
-        if len(rows) < 20:  # an ellipse has five unknowns
+        oval = fit_oval(np.stack([columns, rows], -1))
+        if oval is None:
             continue
-        ellipse = cv2.fitEllipseDirect(np.stack([columns, rows], -1).astype(np.float32))
-        oval = cv2.ellipse(np.zeros(mask.shape, np.uint8), ellipse, (1.0,), cv2.FILLED) > 0
-        found.append(_front_edge(cost, mask, largest_component(mask & (oval | (own & (away > neck))))))
+        within = oval.contains(np.moveaxis(np.indices(mask.shape, np.float64)[::-1], 0, -1) + 0.5)
+        guess = largest_component(mask & (within | (own & (away > neck))))
+        if guess.any():
+            found.append(_front_edge(cost, mask, guess))
+    found = [(along, face) for along, face in found if face.any()]
     if not found:
         return None
     least = min(along for along, _ in found)

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from training.faces.edges import cheapest_path
 
-__all__ = ["MIN_SEEN", "NEAR_BORDER", "Oval", "complete_face", "find_oval", "is_cut_off"]
+__all__ = ["MIN_SEEN", "NEAR_BORDER", "Oval", "complete_face", "find_oval", "fit_oval", "is_cut_off"]
 
 MIN_SEEN = 0.75
 """Least fraction of a face that the picture shows for the rest to be completed: three quarters of a disc end where it
@@ -100,18 +100,26 @@ def find_oval(mask: NDArray[np.bool_], sides: int) -> Oval | None:
     outlines, _ = cv2.findContours(drawn, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     points = max(outlines, key=len)[:, 0]
     own = points[((points >= NEAR_BORDER) & (points < np.array([width, height]) - NEAR_BORDER)).all(1)]
-    if len(own) < 20:  # an ellipse has five unknowns
+    oval = fit_oval(own)
+    if oval is None:
         return None
-    (x, y), diameters, angle = cv2.fitEllipseDirect(own.astype(np.float32))
+    reach = np.linalg.norm(oval.to_disc(own + np.float64(0.5)), axis=1)
+    area = np.pi * np.linalg.norm(oval.axes, axis=1).prod()
+    if np.sqrt(np.square(reach - 1).mean()) > FIT or drawn.sum() < MIN_SEEN * area:
+        return None
+    return oval
+
+
+def fit_oval(outline: NDArray[np.number]) -> Oval | None:
+    """The ellipse through the pixels (N, 2) of an outline as (x, y); None if they are too few or on no ellipse."""
+    if len(outline) < 20:  # an ellipse has five unknowns
+        return None
+    (x, y), diameters, angle = cv2.fitEllipseDirect(outline.astype(np.float32))
     if not np.isfinite([x, y, *diameters, angle]).all() or min(diameters) < 1:
         return None
     turn = np.radians(angle)
     directions = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    oval = Oval(np.array([x, y]) + 0.5, directions * np.array(diameters)[:, None] / 2)
-    reach = np.hypot(*((own - [x, y]) @ directions.T / diameters * 2).T)
-    if np.sqrt(np.square(reach - 1).mean()) > FIT or drawn.sum() < MIN_SEEN * np.pi * np.prod(diameters) / 4:
-        return None
-    return oval
+    return Oval(np.array([x, y]) + 0.5, directions * np.array(diameters)[:, None] / 2)
 
 
 def complete_face(

@@ -170,6 +170,8 @@ def find_central(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     rows, columns = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     inner = np.zeros((height, width), bool)
     inner[NEAR_BORDER:-NEAR_BORDER, NEAR_BORDER:-NEAR_BORDER] = True
+    if not (inner & (np.hypot(rows, columns) < min(STARTS))).any():
+        return None  # a strip of a few pixels
 
     def search(start: float) -> NDArray[np.bool_]:
         labels = np.where(inner, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
@@ -185,6 +187,8 @@ def find_central(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
         return None
     # Flesh ends at the rind with an edge as strong as the rind's own, but without a skin.
     mask = _trace(rgb, _resized(agreed[int(np.argmax(skins))], rgb.shape[:2]))
+    if mask.mean() < MIN_CENTRAL:
+        return None
     goes_on = any(_along_sides(_joined(mask, _like_the_face(rgb, mask)))) or _shared_colours(rgb, mask) > SHARED
     return None if goes_on else mask
 

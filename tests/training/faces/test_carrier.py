@@ -17,6 +17,7 @@ from engine.errors import InputError
 from tests.paths import SHARED
 from training.faces.carrier import find_seen_face
 from training.faces.edges import skin_share
+from training.faces.outline import find_central
 
 SIZE = 192
 FOLDER = SHARED / "photos/fruit"
@@ -244,6 +245,14 @@ def test_nothing_is_found_before_bricks_alone_or_where_the_border_cuts_the_face(
     for picture in (bricks(), over(lay(bricks(), r < 0.8, [0.3, 0.45, 0.12]), r < 0.74, [0.5, 0.7, 0.2])):
         with pytest.raises(InputError):
             find_seen_face(photographed(picture), "bricks")
+
+
+@pytest.mark.parametrize("shape", [(8, 300), (12, 12), (300, 20)])
+def test_a_strip_of_a_few_pixels_is_refused_in_a_line(shape: tuple[int, int]) -> None:
+    picture = np.random.default_rng(0).uniform(size=(*shape, 3)).astype(np.float32)
+    assert find_central(picture) is None
+    with pytest.raises(InputError):
+        find_seen_face(picture, "strip")
 
 
 @pytest.mark.parametrize("shade", [0.62, 0.4])
