@@ -81,7 +81,7 @@ class KeyboardController:
         cut = self.section
         if cut is not None:
             self._move_plane(camera, cut, part * x, part * y, shift)
-        elif workspace.tool in ("move", "turn") and workspace.selection:
+        elif workspace.tool in ("move", "turn") and workspace.selected:
             self._move_pieces(camera, part * x, part * y, shift)
         else:
             eye, by = workspace.viewing.eye, part * ORBIT
@@ -118,7 +118,7 @@ class KeyboardController:
         """Moves the pieces in the plane of the picture, or with Shift nearer and farther. With the turn tool, turns
         them about the picture's axes."""
         workspace, (right, down, forward) = self.workspace, camera.viewmat[:3, :3]
-        chosen = [piece for piece in workspace.pieces if piece.key in workspace.selection]
+        chosen = [piece for piece in workspace.pieces if piece.key in workspace.selected]
         if workspace.tool == "move":
             towards = x * right + y * (forward if shift else -down)
             motion = Motion.by(STEP * workspace.solid.radius * towards)
@@ -131,4 +131,4 @@ class KeyboardController:
             axis = x * (forward if shift else down) * (1 if shift else -1) + y * right
             motion = Motion.about(points.mean(0), axis, -ANGLE * float(np.hypot(x, y)))
         name = _("Move") if workspace.tool == "move" else _("Turn")
-        workspace.place(name, workspace.selection, motion, merge="keys")
+        workspace.place(name, workspace.selected, motion, merge="keys")

@@ -84,7 +84,7 @@ class ProjectFiles:
         workspace.history = History(Work(documents, film or Timeline()))
         workspace.active, workspace.object_selected = 0, False
         workspace.viewing, workspace.path = viewing, path
-        workspace.selection, workspace.active_cut, workspace.tool = frozenset(), None, "select"
+        workspace.selected, workspace.active_cut, workspace.tool = frozenset(), None, "select"
         workspace.error = ""
         workspace.loaded.clear()
         workspace.geometry_version += 1

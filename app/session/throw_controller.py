@@ -43,7 +43,7 @@ class ThrowController:
             return
         if workspace.viewing.mode == "capture":
             workspace.viewing = replace(workspace.viewing, mode="solid")
-        workspace.selection, workspace.active_cut = frozenset(), None
+        workspace.selected, workspace.active_cut = frozenset(), None
         self._camera = camera
         self._start()
         workspace.notify(_("Cut it in flight. Enter keeps the cuts, Esc ends the game."))

@@ -64,7 +64,7 @@ class Workspace(Messages):
     path: Path | None = None
     """The project file; None until the project is saved."""
     tool: Tool = "select"
-    selection: frozenset[Key] = frozenset()
+    selected: frozenset[Key] = frozenset()
     active_cut: int | None = None
     """Id of the cut whose plane is shown with its handles."""
     previewed: tuple[Documents, Documents] | None = None
@@ -212,7 +212,7 @@ class Workspace(Messages):
         """Whether a knife stroke that crosses this piece cuts it: only if it is selected, or if nothing is."""
         if member.index != self.active:
             return not self.object_selected
-        return not self.selection or member.piece.key in self.selection
+        return not self.selected or member.piece.key in self.selected
 
     def drawn(self, members: Sequence[Member]) -> list[Piece]:
         """The renderer's pieces for members, one for each cell, without what their objects' sections hide."""
@@ -280,19 +280,19 @@ class Workspace(Messages):
         """Brings all that is not in the history into line with the documents."""
         if len(before) != len(self.documents):
             self.activate(0, False)
-        self._prune_selection()
+        self._prune_selected()
         self._follow_up(up)
 
     def activate(self, index: int, selected: bool = True) -> None:
         """Makes an object the active one. `selected`: new value of `object_selected`."""
         self.object_selected = selected
         if index != self.active:
-            self.active, self.selection, self.active_cut = index, frozenset(), None
+            self.active, self.selected, self.active_cut = index, frozenset(), None
 
-    def _prune_selection(self) -> None:
+    def _prune_selected(self) -> None:
         """Drops pieces and cuts that the document no longer has."""
         keys = {piece.key for piece in self.pieces}
-        self.selection = frozenset(key for key in self.selection if key in keys)
+        self.selected = frozenset(key for key in self.selected if key in keys)
         if self.active_cut not in {cut.id for cut in self.document.cuts}:
             self.active_cut = None
 
@@ -316,7 +316,7 @@ class Workspace(Messages):
             return
         outcomes: dict[int, Outcome] = {}
         for index in targets:
-            document, selected = self.documents[index], self.selection if index == self.active else frozenset[Key]()
+            document, selected = self.documents[index], self.selected if index == self.active else frozenset[Key]()
             up, solid = self.up_of(document), self.solid_of(document)
             outcomes[index] = slice_object(document, solid, camera, stroke, up, selected)
         cut = {index: outcome.document for index, outcome in outcomes.items() if outcome.document is not None}
@@ -362,23 +362,23 @@ class Workspace(Messages):
 
     def hide(self) -> None:
         """Hides the selected pieces, or the selected object."""
-        if not self.selection:
+        if not self.selected:
             if self.object_selected:
                 self.change_object(_("Hide object"), self.active, replace(self.document, visible=False))
             else:
                 self.notify(_("Select a piece first."))
             return
-        self.change_placements(_("Hide"), self.selection, lambda p: replace(p, visible=False))
-        self.selection = frozenset()
+        self.change_placements(_("Hide"), self.selected, lambda p: replace(p, visible=False))
+        self.selected = frozenset()
 
     def delete(self) -> None:
         """Removes the selected pieces; 'Put back together' brings them back."""
-        if not self.selection:
+        if not self.selected:
             self.notify(_("Select a piece first."))
-        elif len(self.selection) == len(self.pieces):
+        elif len(self.selected) == len(self.pieces):
             self.notify(_("That would leave nothing. Keep at least one piece."))
         else:
-            self.change_placements(_("Delete"), self.selection, lambda p: replace(p, removed=True))
+            self.change_placements(_("Delete"), self.selected, lambda p: replace(p, removed=True))
 
     def reassemble(self) -> None:
         """Moves all pieces back to their places."""

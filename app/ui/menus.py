@@ -99,7 +99,7 @@ class Menus:
             return s.isolation.available
 
         def selected() -> bool:
-            return bool(s.selection)
+            return bool(s.selected)
 
         def in_capture() -> bool:
             return s.tool == "isolate" and bool(s.document.selection)
@@ -201,7 +201,7 @@ class Menus:
         s, film = self.session, self.session.film
 
         def chosen() -> bool:
-            return s.viewing.timeline and not s.selection and film.selected is not None
+            return s.viewing.timeline and not s.selected and film.selected is not None
 
         def available() -> bool:
             return film.available
@@ -328,7 +328,7 @@ class Menus:
         self.inspector.pieces.rename()
 
     def _select_all(self) -> None:
-        self.session.selection = frozenset(piece.key for piece in self.session.pieces if piece.visible)
+        self.session.selected = frozenset(piece.key for piece in self.session.pieces if piece.visible)
 
     def _remove_cuts(self) -> None:
         self.session.change(_("Remove all cuts"), replace(self.session.document, cuts=(), placements=()))

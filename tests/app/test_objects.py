@@ -233,7 +233,7 @@ def test_a_piece_of_which_nothing_is_shown_is_not_turned(session: Session) -> No
     session.change("Plane", session.document.with_cut((Part(Plane.of((0, 0, 1), 9.0)),), "Plane", "section"))
     hidden = session.document.with_cut((Part(Plane.of((0, 0, 1), -9.0)),), "Plane", "section")
     session.change("Plane", hidden)
-    session.selection = frozenset(piece.key for piece in session.pieces)
+    session.selected = frozenset(piece.key for piece in session.pieces)
     session.tool = "turn"
     session.keyboard.arrow(EYE.camera(160, 120, (0, 0, 1)), 1, 0)
     for document in session.documents:

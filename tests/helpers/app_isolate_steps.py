@@ -216,7 +216,7 @@ def several(driver: Driver, folder: Path) -> None:
     # A piece of one object is drawn in the same list as the pieces of the other.
     driver.press(Key.v)
     click((LEFT[0], 0.6))
-    (key,) = session.selection
+    (key,) = session.selected
     assert session.active == 0 and key[0][0] == session.documents[0].cuts[0].id
 
     # The list: an object is named by a double click and hidden by its eye; the picture follows.

@@ -108,7 +108,7 @@ def upright(driver: Driver, folder: Path) -> None:
     driver.drag((0.5, 0.13), (0.5, 0.97))
     driver.press(Key.t)
     piece = session.pieces[0]
-    session.selection = frozenset([piece.key])
+    session.selected = frozenset([piece.key])
     driver.still()
     drag_ring(driver, piece.motion.apply(session.solid.points[piece.rows]).mean(0))
     assert session.pieces[0].motion != piece.motion and session.history.entries[-1].name == "Turn"

@@ -273,7 +273,7 @@ def habits(driver: Driver, folder: Path) -> None:
         driver.context.mouse_move_to_pos(driver.point(float(x) / camera.width, 0.5))
         driver.context.mouse_click(0)
         driver.frames(3)
-        assert session.selection == {piece.key}
+        assert session.selected == {piece.key}
     driver.picture(folder / "shots" / "9_dense.png")
 
     # A file dropped on the window, as GLFW reports it: a picture, then a scene, which would lose work.
@@ -368,7 +368,7 @@ def soak(driver: Driver, actions: int = 2000) -> None:
     def piece() -> None:
         if session.pieces:
             keys_ = frozenset([chance.choice(session.pieces).key])
-            session.selection = keys_
+            session.selected = keys_
             motion = Motion.by([chance.uniform(-0.2, 0.2) for _ in range(3)])
             chance.choice([session.hide, session.delete, lambda: session.place("Move", keys_, motion)])()
 

@@ -39,13 +39,13 @@ ONE_SIDE = 0.5
 """Largest fraction of the way around a face that a bulge covers: 0.1 to 0.4 in changed photographs. A rind that is
 hardly darker or paler than the table is all around."""
 
-NECKS = np.linspace(0.2, 0.95, 31)
-"""Half widths of necks that are looked for, over the greatest depth."""
-
 NECK, LOBE = 0.85, 0.5
 """Greatest half width of a neck over the depth of the things on both sides of it, and least depth of these over the
 greatest. Crowns, stalks and the shoulders of bread are shallower, or have no neck: none of 29 photographed faces is
 taken for two; two that overlap by a third of their width are."""
+
+NECKS = np.linspace(0.2, NECK, 27)
+"""Half widths of necks that are looked for, over the greatest depth."""
 
 AWAY = 0.15
 """Distance from where two things meet, over the neck's half width, from which an outline is surely one's own."""
@@ -93,10 +93,12 @@ def _lobes(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], float] | None:
     """(H, W) and pixels. The thing that each pixel is nearest to and the half width of the neck, if a mask (H, W) has
     several with a neck between them."""
     depth = depth_in(np.pad(mask, 1))[1:-1, 1:-1]
+    deep = depth > LOBE * depth.max()
     for neck in NECKS * depth.max():
         parts, count = ndimage.label(depth > neck)
-        peaks = ndimage.maximum(depth, parts, np.arange(1, count + 1))
-        things = 1 + np.flatnonzero((peaks > LOBE * depth.max()) & (neck < NECK * peaks))
+        peaks = np.zeros(count + 1, depth.dtype)
+        np.maximum.at(peaks, parts[deep], depth[deep])
+        things = np.flatnonzero(neck < NECK * peaks)
         if len(things) > 1:
             return parts[tuple(nearest(np.isin(parts, things)))], float(neck)
     return None

@@ -44,7 +44,7 @@ class SlicesWindow:
     def _body(self) -> None:
         with font(Fonts.bold):
             imgui.text_unformatted(_("Slice evenly"))
-        selected = bool(self.session.selection)
+        selected = bool(self.session.selected)
         secondary(
             _("What is selected, in slices of one thickness.")
             if selected
@@ -73,7 +73,7 @@ class SlicesWindow:
 
     def _slice(self, normal: np.ndarray) -> None:
         session = self.session
-        sliced = slice_evenly(session.document, session.solid, normal, self.count, session.selection)
+        sliced = slice_evenly(session.document, session.solid, normal, self.count, session.selected)
         if sliced is None:
             session.notify(_("There is nothing shown to slice."))
             return

@@ -29,7 +29,7 @@ class MeasuresPanel:
     def show(self) -> None:
         """Draws one frame."""
         session = self.session
-        atoms, selected = session.atoms, session.selection
+        atoms, selected = session.atoms, session.selected
         if atoms is None or not (session.viewing.slices or selected):
             return
         heading(_("Measures"))

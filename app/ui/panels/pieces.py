@@ -73,8 +73,8 @@ class PiecesPanel:
 
     def rename(self) -> None:
         """Lets the user type the name of the selected piece."""
-        if len(self.session.selection) == 1:
-            (self._renamed,), self._typing = self.session.selection, False
+        if len(self.session.selected) == 1:
+            (self._renamed,), self._typing = self.session.selected, False
         else:
             self.session.notify(_("Select one piece to name it."))
 
@@ -88,9 +88,9 @@ class PiecesPanel:
         tooltip(_("Hide the group") if shown else _("Show the group"))
         imgui.same_line()
         if list_row(
-            f"{icon.ICON_FA_LAYER_GROUP}  {group}", keys <= session.selection, imgui.get_content_region_avail().x, 22
+            f"{icon.ICON_FA_LAYER_GROUP}  {group}", keys <= session.selected, imgui.get_content_region_avail().x, 22
         ):
-            session.selection = keys
+            session.selected = keys
         tooltip(_("Click to select all of the group"))
         imgui.pop_id()
 
@@ -110,23 +110,23 @@ class PiecesPanel:
         mark = MARK_ICONS[piece.mark] if piece.mark else icon.ICON_FA_TAG
         colour = mark_colour(piece.mark) if piece.mark else palette().second
         if icon_button(f"{mark}###mark", 22, quiet=True, colour=colour):
-            if piece.key not in session.selection:
-                session.selection = frozenset([piece.key])
+            if piece.key not in session.selected:
+                session.selected = frozenset([piece.key])
             self._group = piece.group
             imgui.open_popup("mark")
         tooltip(_("Mark it, or put it into a group; all that is selected"))
         self._popup()
         imgui.same_line()
-        chosen = piece.key in session.selection
+        chosen = piece.key in session.selected
         if list_row(f"{piece.name}###piece", chosen, imgui.get_content_region_avail().x - px(30), 22):
             only = frozenset([piece.key])
-            session.selection = session.selection ^ only if imgui.get_io().key_ctrl else only
+            session.selected = session.selected ^ only if imgui.get_io().key_ctrl else only
         if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             self._renamed, self._typing = piece.key, False
         tooltip(_("Double click to name it"), "F2")
         imgui.same_line()
         if icon_button(f"{icon.ICON_FA_XMARK}##gone", 22, quiet=True):
-            session.selection = frozenset([piece.key])
+            session.selected = frozenset([piece.key])
             session.delete()
         tooltip(_("Delete the piece"), "Del")
 
@@ -154,7 +154,7 @@ class PiecesPanel:
             symbol = MARK_ICONS[mark] if mark else icon.ICON_FA_BAN
             colour = mark_colour(mark) if mark else palette().second
             if icon_button(f"{symbol}###{mark or 'none'}", 28, quiet=True, colour=colour):
-                session.change_placements(_("Mark"), session.selection, partial(_marked, mark))
+                session.change_placements(_("Mark"), session.selected, partial(_marked, mark))
             tooltip(MARK_NAMES[mark] if mark else _("No mark"))
             imgui.same_line()
         imgui.new_line()
@@ -167,7 +167,7 @@ class PiecesPanel:
         imgui.same_line()
         if main_button(_("Set"), px(52)) or entered:
             group = self._group.strip()
-            session.change_placements(_("Group"), session.selection, lambda p: replace(p, group=group))
+            session.change_placements(_("Group"), session.selected, lambda p: replace(p, group=group))
             imgui.close_current_popup()
         imgui.end_popup()
 

@@ -27,7 +27,7 @@ and ImGuizmo's default for handles in the middle of what they move."""
 
 def handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> bool:
     """Draws the handles of the tool; False if it has none."""
-    if session.tool in ("move", "turn") and session.selection:
+    if session.tool in ("move", "turn") and session.selected:
         return _piece_handles(session, camera, origin, size)
     if session.tool == "plane" and session.active_cut is not None:
         return _plane_handles(session, camera, origin, size)
@@ -37,7 +37,7 @@ def handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> b
 
 
 def _piece_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> bool:
-    chosen = [piece for piece in session.pieces if piece.key in session.selection and piece.visible]
+    chosen = [piece for piece in session.pieces if piece.key in session.selected and piece.visible]
     if not chosen:
         return False
     hidden = sections(session.document)
@@ -50,7 +50,7 @@ def _piece_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec
     moved = _manipulate("piece", camera, origin, size, operation, gizmo.MODE.world, place)
     if moved is not None:
         motion = Motion.of(moved @ np.linalg.inv(place))
-        session.place(_("Move") if session.tool == "move" else _("Turn"), session.selection, motion, merge="handles")
+        session.place(_("Move") if session.tool == "move" else _("Turn"), session.selected, motion, merge="handles")
     return True
 
 

@@ -30,9 +30,9 @@ def selection_frames(session: Session, camera: Camera, pieces: Sequence[PlacedPi
     hidden = sections(session.document)
     visible = [piece for piece in pieces if piece.visible]
     points = {piece.key: shown_points(piece, session.solid, hidden) for piece in visible}
-    if session.selection and len(pieces) > 1:
+    if session.selected and len(pieces) > 1:
         for piece in visible:
-            if piece.key in session.selection:
+            if piece.key in session.selected:
                 _frame(camera, points[piece.key], origin)
     elif session.object_selected and session.document.visible and points:
         _frame(camera, np.concatenate(list(points.values())), origin)

@@ -314,8 +314,8 @@ class Viewport:
                 if member is not None and point is not None:
                     key = self._activate(member)
                     kind, depth = session.tool, float((point - camera.position) @ camera.forward)
-                    keys = session.selection if key in session.selection else frozenset([key])
-                    session.selection = keys
+                    keys = session.selected if key in session.selected else frozenset([key])
+                    session.selected = keys
         session.film.playing = False
         if kind not in ("orbit", "pan") and not session.throw.active:
             session.film.leave()  # edits apply to the object as it is
@@ -355,16 +355,16 @@ class Viewport:
         elif session.tool != "upright" and session.mode != "capture":
             session.object_selected = False
         if imgui.is_mouse_released(imgui.MouseButton_.right):
-            if key is not None and key not in session.selection:
-                session.selection = frozenset([key])
+            if key is not None and key not in session.selected:
+                session.selected = frozenset([key])
             self.menu_requested = True
             self.menu_point = at if key is not None or session.mode == "capture" else None
         elif session.tool == "upright":
             self.stand_on(at)
         elif imgui.get_io().key_ctrl and key is not None:
-            session.selection = session.selection ^ {key}
+            session.selected = session.selected ^ {key}
         else:
-            session.selection = frozenset() if key is None or len(session.pieces) < 2 else frozenset([key])
+            session.selected = frozenset() if key is None or len(session.pieces) < 2 else frozenset([key])
 
     def _activate(self, member: Member) -> Key:
         """Makes the object that a piece belongs to the active one; returns the piece's key."""

@@ -231,7 +231,7 @@ def pseudo(driver: Driver, folder: Path) -> None:
     session.select_tool("plane")
     session.active_cut = session.document.cuts[0].id
     session.keyboard.enter(window.viewport.camera())
-    session.selection = frozenset([session.pieces[0].key])
+    session.selected = frozenset([session.pieces[0].key])
     session.viewing = replace(session.viewing, slices=True, timeline=True)
     driver.still()
     look("2_slices")
