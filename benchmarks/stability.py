@@ -134,7 +134,7 @@ def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, kind: type[Train
     ]
     with (
         mock.patch.object(trainer, "INTERIOR_RATE", 10 * trainer.INTERIOR_RATE * rate),  # from grey, so ten times
-        mock.patch.object(trainer, "HALVED_IN_TURNS", 20),
+        mock.patch.object(trainer, "HALF_LIFE_EPOCHS", 20),
     ):
         training = kind(atoms, cuts, [], 0)
         losses = [training.step(labels).section for _ in range(60)]
