@@ -108,6 +108,14 @@ def labels_from_volume(
     return {"psnr_db": round(float(np.mean(figures)), 3), "cells": round(side / volume.body.grid.cell)}
 
 
+def of_small_pictures(solid: Solid, pixels: int) -> dict[str, Any]:
+    """The figures of `labels_from_volume` for pictures so wide, or the refusal."""
+    try:
+        return {"pixels": pixels, **labels_from_volume(solid, pixels=pixels, voxels=FINE)}
+    except InputError as error:
+        return {"pixels": pixels, "psnr_db": None, "notes": [str(error)]}
+
+
 def seeded(name: str, seeds: Sequence[int]) -> dict[str, Any]:
     """The PSNR of one solid with each seed, its mean and its spread."""
     spread = [labels_from_volume(SOLIDS[name](0), seed=seed)["psnr_db"] for seed in seeds]
@@ -175,9 +183,7 @@ def sweeps(points: int | None) -> dict[str, Any]:
         for name, of in ((True, Trainer), (False, UnsmoothedTrainer))
         for count in PLANES[:points]
     ]
-    figures["pictures"] = [
-        {"pixels": size, **labels_from_volume(orange, pixels=size, voxels=FINE)} for size in PIXELS[:points]
-    ]
+    figures["pictures"] = [of_small_pictures(orange, size) for size in PIXELS[:points]]
     figures["tilts"] = [{"degrees": tilt, **labels_from_volume(cake, tilt)} for tilt in TILTS[:points]]
     figures["offsets"] = [{"radii": offset, **labels_from_volume(core(offset))} for offset in OFFSETS[:points]]
     figures["seeds"] = [seeded(name, SEEDS[:points]) for name in SEEDED]
@@ -201,13 +207,8 @@ def draw(figures: dict[str, Any], path: Path) -> None:
     axis = line(0, "A hole in the shell", of("holes", "hole"), of("holes", "volume"), "half angle, degrees",
                 "volume found / under a flat lid")  # fmt: skip
     axis.axhspan(0.97, 1.03, color=QUIET, alpha=0.2, linewidth=0)
-    gone = [row["hole"] for row in figures["holes"] if row["volume"] is None]
-    axis.plot(gone, [0.5] * len(gone), "x", color=QUIET)
     axis.set_ylim(0.4, 1.2)
-    if gone:
-        axis.annotate(
-            "refused in one line", (gone[-1], 0.5), (6, 8), textcoords="offset points", ha="right", color=QUIET
-        )
+    mark_refused(axis, [row["hole"] for row in figures["holes"] if row["volume"] is None], 0.5, "right")
     psnr = "PSNR of untrained cuts, dB"
     line(1, "A wrong up axis (layer cake)", of("tilts", "degrees"), of("tilts", "psnr_db"), "tilt, degrees", psnr)
     line(2, "A core away from the axis", of("offsets", "radii"), of("offsets", "psnr_db"), "offset, radii", psnr)
@@ -227,7 +228,10 @@ def draw(figures: dict[str, Any], path: Path) -> None:
     axis = line(6, "Small pictures (orange)", of("pictures", "pixels"), of("pictures", "psnr_db"),
                 f"pixels of a picture; cells beside it, of {FINE}", psnr)  # fmt: skip
     axis.margins(0.12)
-    for row in figures["pictures"]:
+    taken = [row for row in figures["pictures"] if row["psnr_db"] is not None]
+    refused = [row["pixels"] for row in figures["pictures"] if row["psnr_db"] is None]
+    mark_refused(axis, refused, min((row["psnr_db"] for row in taken), default=0.0), "left")
+    for row in taken:
         axis.annotate(str(row["cells"]), (row["pixels"], row["psnr_db"]), (4, -11), textcoords="offset points",
                       fontsize=8, color=QUIET)  # fmt: skip
     axis = axes.flat[7]
@@ -238,6 +242,16 @@ def draw(figures: dict[str, Any], path: Path) -> None:
     axis.legend(frameon=False, fontsize=8)
     axis.margins(y=0.3)
     save_chart(figure, path)
+
+
+def mark_refused(axis: Any, places: Sequence[float], height: float, side: str) -> None:
+    """Crosses at these places along the axis, with a word at the last one, aligned to this side of it."""
+    axis.plot(places, [height] * len(places), "x", color=QUIET)
+    if places:
+        axis.annotate(
+            "refused in one line", (places[-1], height), (6, 8), textcoords="offset points",
+            ha=side, color=QUIET,
+        )  # fmt: skip
 
 
 if __name__ == "__main__":
