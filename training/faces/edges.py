@@ -39,6 +39,10 @@ BARE, HALF, SKINNED = 0.25, 0.5, 0.75
 told, and from the last it is a skin. The side of a board or the rim of a dish shows on one side of it, a skin all
 around: on 0.81 and more in 26 photographs, but for one whose mask leaves the skin out."""
 
+CALM = 150
+"""Width of a thing over the standard deviation of the Gaussian that calms its colours, up to one of two pixels: skins
+are so thin in small pictures that more would mix them with what is beside them."""
+
 THIRD_COLOUR = 0.05
 """RGB distance from all mixtures of two colours that makes a third. For plates and boards the distance is 0.01, by
 noise of 3 8-bit steps and JPEG's; for the skins of 29 photographs it is 0.13 and more."""
@@ -81,11 +85,12 @@ def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
     behind = (away > BEHIND[0]) & (away < max(2 * BEHIND[0], BEHIND[1] * across))
     if not flesh.any() or not behind.any():
         return 0.0
-    smooth = ndimage.gaussian_filter(rgb, (2, 2, 0))
+    sigma = min(2.0, across / CALM)
+    smooth = ndimage.gaussian_filter(rgb, (sigma, sigma, 0))
     band = (depth <= SKIN * across) & (away <= 1.5)
     at = np.nonzero(band)
     ends = [smooth[tuple(place[at] for place in nearest(where))] for where in (flesh, behind)]
-    third = _from_mixtures(ndimage.gaussian_filter(rgb, (1, 1, 0))[at], *ends)
+    third = _from_mixtures(ndimage.gaussian_filter(rgb, (sigma / 2, sigma / 2, 0))[at], *ends)
     layer = np.round(depth[at]).astype(int)
     sector = sectors_of(mask, at)
     shape = SECTORS, int(layer.max()) + 1

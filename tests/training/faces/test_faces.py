@@ -201,9 +201,11 @@ def test_a_mask_beside_the_photograph_wins(tmp_path: Path) -> None:
         find_face(path)
 
 
-def test_a_coat_nearly_as_white_as_the_table_is_the_face() -> None:
-    """Cream is nearer in colour to the table than to the cake, which has the stronger edge."""
+@pytest.mark.parametrize(("size", "least"), [(128, 0.96), (240, 0.99), (512, 0.99)])
+def test_a_coat_nearly_as_white_as_the_table_is_the_face(size: int, least: float) -> None:
+    """Cream is nearer in colour to the table than to the cake, which has the stronger edge; in small pictures it is as
+    thin as what a lens mixes."""
     cake = SOLIDS["cake"](0)
-    plane = planes(cake, "radial")[0]
-    rgb, inside = cake.slice(plane, crop(cake, plane, 512), supersample=SUPERSAMPLE)
-    assert mask_iou(find_mask(rgb.astype(np.float32), "cake"), np.asarray(inside) > 0.5) > 0.97
+    for plane in planes(cake, "radial"):
+        rgb, inside = cake.slice(plane, crop(cake, plane, size), supersample=SUPERSAMPLE)
+        assert mask_iou(find_mask(rgb.astype(np.float32), "cake"), np.asarray(inside) > 0.5) > least
