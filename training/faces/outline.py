@@ -202,8 +202,11 @@ def _trace(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.boo
     moved = _move_to_edges(rgb, _grab_cut(rgb, guess))
     mask = _settle_mixed_pixels(rgb, without_side(rgb, without_bulges(rgb, moved)))
     # A coat nearly in the colour of the table, such as cream on white, is nearer to it than to the face.
-    if mask.any() and (left := skin_share(rgb, mask)) < HALF and skin_share(rgb, guess) > max(HALF, left + COAT):
-        return guess
+    rim = guess & ~ndimage.binary_erosion(guess)
+    if mask.any() and guess.sum() - mask.sum() > UNSURE * rim.sum():
+        left = skin_share(rgb, mask)
+        if left < HALF and skin_share(rgb, guess) > max(HALF, left + COAT):
+            return guess
     return mask
 
 
