@@ -230,7 +230,7 @@ def draw(figures: dict[str, Any], path: Path) -> None:
     axis.margins(0.12)
     taken = [row for row in figures["pictures"] if row["psnr_db"] is not None]
     refused = [row["pixels"] for row in figures["pictures"] if row["psnr_db"] is None]
-    mark_refused(axis, refused, min((row["psnr_db"] for row in taken), default=0.0), "left")
+    mark_refused(axis, refused, max((row["psnr_db"] for row in taken), default=0.0), "left")
     for row in taken:
         axis.annotate(str(row["cells"]), (row["pixels"], row["psnr_db"]), (4, -11), textcoords="offset points",
                       fontsize=8, color=QUIET)  # fmt: skip
@@ -248,10 +248,8 @@ def mark_refused(axis: Any, places: Sequence[float], height: float, side: str) -
     """Crosses at these places along the axis, with a word at the last one, aligned to this side of it."""
     axis.plot(places, [height] * len(places), "x", color=QUIET)
     if places:
-        axis.annotate(
-            "refused in one line", (places[-1], height), (6, 8), textcoords="offset points",
-            ha=side, color=QUIET,
-        )  # fmt: skip
+        text, at = "refused in one line", (places[-1], height)
+        axis.annotate(text, at, (6, 8), textcoords="offset points", ha=side, color=QUIET)
 
 
 if __name__ == "__main__":
