@@ -113,7 +113,8 @@ def of_small_pictures(solid: Solid, pixels: int) -> dict[str, Any]:
     try:
         return {"pixels": pixels, **labels_from_volume(solid, pixels=pixels, voxels=FINE)}
     except InputError as error:
-        return {"pixels": pixels, "psnr_db": None, "notes": [str(error)]}
+        reason = str(error).split(": ", 1)[1]  # without the file, which lies in a folder that is gone
+        return {"pixels": pixels, "psnr_db": None, "notes": [reason]}
 
 
 def seeded(name: str, seeds: Sequence[int]) -> dict[str, Any]:
@@ -239,8 +240,8 @@ def draw(figures: dict[str, Any], path: Path) -> None:
         label = f"{row['solid']}: {row['mean_db']:.2f} ± {row['sd_db']:.3f} dB"
         axis.plot(range(len(row["psnr_db"])), row["psnr_db"], "o-", color=colour, markersize=4, label=label)
     axis.set(title="Ten seeds", xlabel="seed", ylabel=psnr)
-    axis.legend(frameon=False, fontsize=8)
-    axis.margins(y=0.3)
+    axis.legend(frameon=False, fontsize=8, loc="upper right")
+    axis.margins(y=0.7)
     save_chart(figure, path)
 
 
