@@ -134,6 +134,22 @@ def test_what_a_radial_picture_shows_in_a_column_makes_no_rings() -> None:
         assert np.ptp(made.read(ring.astype(np.float32))[:, 0]) > 0.3
 
 
+def test_the_plane_of_a_horizontal_picture_is_no_bar_across_a_column() -> None:
+    """Green that a radial picture shows all along the axis, and the horizontal one not at all, fades towards that."""
+    x, y = disc_grid()
+    pith, green = (np.abs(x) < 0.2) & (np.abs(y) < 0.8), np.abs(x) < 0.08
+    flesh = face(np.zeros(x.shape, bool)).rgb
+    along = Disc(np.where(pith[..., None], np.where(green[..., None], (0.8, 1.0, 0.8), 1.0), flesh).astype(np.float32))
+    across = Disc(np.where((np.hypot(x, y) < 0.2)[..., None], 1.0, flesh).astype(np.float32))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        made = make_quilt([across], [along], 0, lambda part: None)
+    heights = np.linspace(-0.3, 0.3, 61)
+    blue = made.read(np.column_stack([0 * heights, 0 * heights + 0.05, heights]).astype(np.float32))[:, 2]
+    assert blue[30] - blue[[0, -1]].max() > 0.15
+    assert np.abs(np.diff(blue)).max() < 0.15 * np.ptp(blue)  # in a bar, 0.3 from one hundredth to the next
+
+
 def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() -> None:
     x, y = disc_grid()
     for dark in (np.abs(y) < 0.04, np.hypot(x - 0.4, y) < 0.08, np.zeros(x.shape, bool)):

@@ -53,6 +53,10 @@ the width of a column, over which its fibres change."""
 CLOSE = 0.03
 """Distance in radii from the horizontal picture's plane within which what is small ends."""
 
+FADE = 0.1
+"""Distance in radii from that plane over which the colours of radial pictures fade: over CLOSE, the plane shows as a
+bar across the column. With twice as much, a quarter of an orange's pith has none of them."""
+
 
 @dataclass(frozen=True)
 class Column:
@@ -119,7 +123,7 @@ class Column:
         x, y = x / np.maximum(wide, LEAST), y / np.maximum(wide, LEAST)
         depth = np.where(wide > LEAST, read_map(self.depth, x, y) * wide, -1).astype(np.float32)
         colours = self.colours.read(x, y)
-        return colours + _beside(rise)[:, None] * (disc.read(x, y) - colours), depth
+        return colours + _beside(rise, CLOSE)[:, None] * (disc.read(x, y) - colours), depth
 
     def change(
         self, right: NDArray[np.floating], off: NDArray[np.floating], z: NDArray[np.floating]
@@ -136,7 +140,7 @@ class Column:
         part = (0.5 + 0.5 * right / np.maximum(radius, 1e-6))[:, None]
         change = part * sides[0] + (1 - part) * sides[1] - self._usual_at(there) + self._usual_at(z)
         change -= np.median(self.colours.rgb[self.shape], axis=0)
-        return np.asarray((1 - _beside(z - self.height))[:, None] * change, np.float32)
+        return np.asarray((1 - _beside(z - self.height, FADE))[:, None] * change, np.float32)
 
     def _usual_at(self, z: NDArray[np.floating]) -> NDArray[np.float64]:
         """(M, 3). The usual colours at heights (M,)."""
@@ -168,9 +172,10 @@ def _without_flares(wide: NDArray[np.floating], rind: float) -> NDArray[np.float
     return out
 
 
-def _beside(rise: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(M,). How much of what is small in a horizontal picture is left at distances (M,) from its plane."""
-    return np.exp(-np.square(rise / CLOSE))
+def _beside(rise: NDArray[np.floating], fades: float) -> NDArray[np.floating]:
+    """(M,). How much of a horizontal picture that `fades` over so many radii is left at distances (M,) from its
+    plane."""
+    return np.exp(-np.square(rise / fades))
 
 
 def _without_small(disc: Disc, shape: NDArray[np.bool_]) -> Disc:
