@@ -91,7 +91,11 @@ def filled(spacing: float = 0.105, seed: int = 0) -> Tessellation:
     """The grains of a radial picture full of them, wherever they fit."""
     grains, rng = Grains.of(drawn(laid_out(spacing), spacing / 2.1), NEVER), np.random.default_rng(seed)
     things = [grains.things(shares_of(spacing))]
-    return Tessellation.of(things, [], strewn(things, 0, TIMES, rng, in_rows=False), ROOMY, rng)
+    return Tessellation.of(things, [], strewn(things, 0, TIMES, rng, in_rows=False), ROOMY, far_from_planes, rng)
+
+
+def far_from_planes(points: NDArray[np.floating]) -> NDArray[np.float32]:
+    return np.full((2, len(points)), 2, np.float32)
 
 
 def powers(made: Tessellation, points: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -125,8 +129,8 @@ def test_grains_lie_apart_and_fill_their_chamber() -> None:
         away[n] = np.inf
         assert (away >= NEAR * (radii + radii[n]) - 1e-5).all()
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (20_000, 3)).astype(np.float32)
-    assert made.read(points, np.ones(len(points), np.float32))[1].mean() > 0.95
-    assert made.read(points, np.zeros(len(points), np.float32))[1].max() == 0
+    assert made.read(points, np.ones(len(points), np.float32), far_from_planes(points))[1].mean() > 0.95
+    assert made.read(points, np.zeros(len(points), np.float32), far_from_planes(points))[1].max() == 0
 
 
 def test_a_grain_shows_its_middle_in_its_middle_and_its_rim_at_its_border() -> None:
@@ -143,9 +147,8 @@ def test_a_grain_shows_its_middle_in_its_middle_and_its_rim_at_its_border() -> N
         assert ours[0]
         border = shares[ours.argmin()] if not ours.all() else 1.0
         part = np.array([0.15, 0.5, 0.85])
-        shown, cover = made.read(
-            (ray[0] + most * border * part[:, None] * direction).astype(np.float32), np.ones(3, np.float32)
-        )
+        points = (ray[0] + most * border * part[:, None] * direction).astype(np.float32)
+        shown, cover = made.read(points, np.ones(3, np.float32), far_from_planes(points))
         assert cover.min() == 1
         # The picture is as red at each place as that is far from the middle of its cell.
         assert np.abs(shown[:, 0] - part).max() < 0.12
@@ -159,7 +162,7 @@ def test_own_grains_are_cut_by_their_plane_as_their_picture_shows_them() -> None
     moved = placed._replace(laid=off_plane(placed, rng))
     assert np.abs(moved.laid.middles[:, 1]).max() > 0.03
     made = [
-        Tessellation.of([things], [some.laid], placed.laid.chosen(np.zeros(0, int)), ROOMY, rng)
+        Tessellation.of([things], [some], placed.laid.chosen(np.zeros(0, int)), ROOMY, far_from_planes, rng)
         for some in (placed, moved)
     ]
     x, y = rng.uniform(-0.6, 0.6, (2, 3_000))
@@ -199,11 +202,37 @@ def test_no_grain_reaches_far_through_a_wall() -> None:
     axis = np.linspace(-HALF, HALF, NODES, dtype=np.float32)
     walled = Chambers(np.broadcast_to(axis[:, None, None], (NODES,) * 3).copy())  # the chamber x > 0
     things = [Grains.of(drawn(laid_out(0.105), 0.05), NEVER).things(shares_of(0.105))]
-    made = Tessellation.of(things, [], strewn(things, 0, TIMES, rng, in_rows=False), walled, rng)
+    made = Tessellation.of(things, [], strewn(things, 0, TIMES, rng, in_rows=False), walled, far_from_planes, rng)
     points = rng.uniform(-0.5, 0.5, (20_000, 3)).astype(np.float32)
-    cover = made.read(points, np.ones(len(points), np.float32))[1]
+    cover = made.read(points, np.ones(len(points), np.float32), far_from_planes(points))[1]
     assert cover[points[:, 0] < -BULGE * made.laid.radii.max()].max() == 0
     assert cover[points[:, 0] > 0.05].mean() > 0.95
+
+
+@pytest.mark.parametrize("is_horizontal", [False, True])
+def test_own_grains_end_where_a_plane_of_the_other_family_shows_a_wall(is_horizontal: bool) -> None:
+    """They are as they were far from that plane, gone in it, and narrower the nearer to it."""
+    rng = np.random.default_rng(5)
+    places, radii = rng.uniform(-0.6, 0.6, (400, 2)), np.full(400, 0.08)
+    things = Things.of_cells(shares_of(0.105), places, radii, np.zeros(400), np.zeros(NEVER.shape[:2], np.int32))
+    placed = in_own_planes([things], [0.0] if is_horizontal else [], 0)[0]  # the plane z = 0, or y = 0
+    walls = Chambers(np.full((NODES,) * 3, -0.1, np.float32))  # no chamber anywhere
+    other = 1 if is_horizontal else 2  # x z crosses the first, x y the second
+
+    def away_of(points: NDArray[np.floating]) -> NDArray[np.float32]:
+        away = np.abs(points[:, other]).astype(np.float32)
+        none = np.full_like(away, 2)
+        return np.stack([none, away] if is_horizontal else [away, none])
+
+    made = Tessellation.of([things], [placed], placed.laid.chosen(np.zeros(0, int)), walls, away_of, rng)
+    points = np.zeros((3_000, 3), np.float32)
+    points[:, [0, other]] = rng.uniform(-0.5, 0.5, (3_000, 2))
+    away = np.abs(points[:, other])
+    cover = made.read(points, np.ones(len(points), np.float32), away_of(points))[1]
+    alone = made.read(points, np.ones(len(points), np.float32), far_from_planes(points))[1]
+    assert alone.mean() > 0.9
+    assert cover[away < 0.1 - 1.1 * BULGE * 0.08].max() == 0
+    assert (cover == alone)[away > 0.12].all()
 
 
 def test_grains_are_brought_to_the_light_of_grains_and_ground_to_that_of_ground() -> None:

@@ -164,7 +164,7 @@ class Quilt:
                 yield solids.read(points)
         if self.grains is not None:  # where its picture is shown, so are its grains
             off = np.abs(beside.far).min(0) - self.ends(film)
-            yield self.grains.read(points, np.clip(off / BLEND, 0, 1).astype(np.float32))
+            yield self.grains.read(points, np.clip(off / BLEND, 0, 1).astype(np.float32), beside.away(self.labels))
 
     def ends(self, film: float) -> float:
         """Radii. Distance from an own plane at which a `film` ends."""
@@ -383,7 +383,11 @@ def _tessellated(
     chambers = Chambers.of(across, along, (_heights(planes) or [0.0])[0], ground.ball, rng)
     tried = strewn(things, len(across), TIMES, rng, in_rows=False)
     tried = tried.chosen(_is_clear(tried, planes, 1.0))
-    return Tessellation.of([*things, *own], [some.laid for some in placed], tried, chambers, rng)
+
+    def away_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
+        return Beside.of(ground.labels, points).away(ground.labels)
+
+    return Tessellation.of([*things, *own], placed, tried, chambers, away_of, rng)
 
 
 def _own(across: list[Source], along: list[Source]) -> list[Source]:

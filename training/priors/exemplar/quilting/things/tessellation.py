@@ -8,7 +8,7 @@ shows whole grains, with their rims all around. A grain is turned about its long
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,13 +62,14 @@ class Tessellation:
     grains: Sequence[Things]
     """The grains of each picture."""
     laid: Candidates
-    fixed: int
-    """How many of these, the first ones, lie in own planes: those do not end at walls, which other pictures may have
-    moved."""
+    fixed: tuple[int, int]
+    """How many of these, the first ones, lie in own planes of horizontal pictures, and how many in any own plane. They
+    end at no walls, which other pictures may have moved, but at those in own planes of the other family, which show
+    where they are: towards these, they become narrower as fast as they come nearer."""
     lattice: Lattice
     chambers: Chambers
     room: NDArray[np.float32]
-    """(B,). Distances from the middles of grains to the walls of their chambers."""
+    """(B,). Distances from the middles of grains to the walls at which they end."""
     stamps: NDArray[np.float32]
     """(T, S, S, 4). Stamps of all grains."""
 
@@ -76,31 +77,37 @@ class Tessellation:
     def of(
         cls,
         grains: Sequence[Things],
-        fixed: Sequence[Candidates],
+        placed: Sequence[Placed],
         tried: Candidates,
         chambers: Chambers,
+        away_of: Callable[[NDArray[np.float32]], NDArray[np.float32]],
         rng: np.random.Generator,
     ) -> Tessellation:
-        """Grains that are `fixed`, and as many of those that are `tried` as there is room for in chambers."""
+        """Grains that are `placed` in own planes, those of horizontal pictures first, and as many of those that are
+        `tried` as there is room for in chambers. `away_of`: what `read` takes, for points (M, 3)."""
         tried = tried.chosen(chambers.at(tried.middles) > MIDDLE * tried.radii)
         order = -tried.radii * rng.uniform(MIXED_SIZES, 1, len(tried.radii))
-        tried = Candidates.together([*fixed, tried.chosen(np.argsort(order, kind="stable"))])
-        count = sum(len(some.stamps) for some in fixed)
+        own = [some.laid for some in placed]
+        tried = Candidates.together([*own, tried.chosen(np.argsort(order, kind="stable"))])
+        count = sum(len(some.stamps) for some in own)
+        first = sum(len(some.laid.stamps) for some in placed if some.is_horizontal)
         cell = float(2 * REACHES * tried.radii.max(initial=0.01))
         laid = tried.chosen(lay(tried.middles, tried.radii, NEAR, cell, count, len(tried.radii)))
         stamps = np.concatenate([some.stamps for some in grains])
-        room = chambers.at(laid.middles)
-        return cls(grains, laid, count, Lattice.of(laid.middles, cell), chambers, room, stamps)
+        room, away = chambers.at(laid.middles), away_of(laid.middles[:count])
+        room[:count] += np.concatenate([away[1, :first], away[0, first:]])
+        return cls(grains, laid, (first, count), Lattice.of(laid.middles, cell), chambers, room, stamps)
 
     def read(
-        self, points: NDArray[np.float32], shown: NDArray[np.float32]
+        self, points: NDArray[np.float32], shown: NDArray[np.float32], away: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M, 3) and (M,). Colours of grains at points (M, 3), multiplied by how much of the point they cover, and that
-        cover, which is at most how much of them is to be `shown` (M,). Range [0, 1]."""
+        cover, which is at most how much of them is to be `shown` (M,). Range [0, 1]. `away` (2, M): distances in radii
+        from own planes of horizontal pictures, and of radial ones."""
         out = np.empty((len(points), 4), np.float32)
         walls = self.chambers.at(points)
-        laid = *self.laid, self.room, self.fixed
-        for_spans(_read, len(out), points, shown, walls, *laid, *self.lattice, self.stamps, out)
+        laid = *self.laid, self.room, *self.fixed
+        for_spans(_read, len(out), points, shown, walls, away, *laid, *self.lattice, self.stamps, out)
         return out[:, :3], out[:, 3]
 
     def reduced(self, n: int) -> Tessellation:
@@ -126,12 +133,14 @@ def _read(
     points: NDArray[np.float32],  # [M, 3]
     shown: NDArray[np.float32],  # [M]
     walls: NDArray[np.float32],  # [M]
+    away: NDArray[np.float32],  # [2, M]
     middles: NDArray[np.float32],  # [B, 3]
     axes: NDArray[np.float32],  # [B, 2]
     long: NDArray[np.float32],  # [B, 3]
     short: NDArray[np.float32],  # [B, 3]
     which: NDArray[np.int64],  # [B]
     room: NDArray[np.float32],  # [B]
+    across: int,
     fixed: int,
     cell: float,
     starts: NDArray[np.int64],  # [C + 1]
@@ -160,18 +169,19 @@ def _read(
         if grain < 0:
             continue
         radius = axes[grain, 1]
-        away = np.sqrt(max(radius * radius - most, zero))
+        off = np.sqrt(max(radius * radius - most, zero))
         ends = radius * np.float32(REACHES)
-        share, inside = away / ends, ends - away
+        share, inside = off / ends, ends - off
         if inside <= zero:
             continue
-        if grain >= fixed:
-            bulge = np.float32(BULGE) * radius
-            here = walls[m] + bulge
-            inside = min(inside, here)
-            if inside <= zero:
-                continue
-            share = max(share, one - here / max(room[grain] + bulge, THINNEST))
+        bulge = np.float32(BULGE) * radius
+        here = walls[m] + bulge
+        if grain < fixed:
+            here += away[1, m] if grain < across else away[0, m]
+        inside = min(inside, here)
+        if inside <= zero:
+            continue
+        share = max(share, one - here / max(room[grain] + bulge, THINNEST))
         # Along a ray from the grain's middle, its lead over another one's power falls evenly, to 0 at their border.
         for i in range(box[0], box[1]):
             for j in range(box[2], box[3]):
