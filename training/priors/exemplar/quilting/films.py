@@ -55,14 +55,6 @@ class Beside:
                 normals.append(normal)
         return cls(np.array(numbers, np.int32), np.stack(far), normals)
 
-    def away(self, labels: list[Label]) -> NDArray[np.float32]:
-        """(2, M). Distances in radii from own planes of horizontal pictures and of radial ones among these labels; the
-        width of the ball if there are none."""
-        out = np.full((2, self.far.shape[1]), 2, np.float32)
-        for number, far in zip(self.numbers, self.far, strict=True):
-            out[0 if labels[number].is_horizontal else 1] = np.abs(far)
-        return out
-
     def beyond_films(self, points: NDArray[np.float32], film: float, cell: float) -> NDArray[np.float32]:
         """(M, 3). Where labels are looked up for the points (M, 3), so that films are as thin as `film`, but not
         thinner than a pixel or thicker than two cells; `cell` is the width of a cell."""

@@ -43,7 +43,7 @@ from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
 from training.priors.exemplar.quilting.things.candidates import CANDIDATES, Candidates, Placed, in_own_planes, strewn
-from training.priors.exemplar.quilting.things.chambers import Chambers
+from training.priors.exemplar.quilting.things.chambers import Chambers, room_beside
 from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import Core
 from training.priors.exemplar.quilting.things.cores import Cores, find_cores
@@ -164,7 +164,8 @@ class Quilt:
                 yield solids.read(points)
         if self.grains is not None:  # where its picture is shown, so are its grains
             off = np.abs(beside.far).min(0) - self.ends(film)
-            yield self.grains.read(points, np.clip(off / BLEND, 0, 1).astype(np.float32), beside.away(self.labels))
+            room = room_beside(self.labels, points, beside, self.ball)
+            yield self.grains.read(points, np.clip(off / BLEND, 0, 1).astype(np.float32), room)
 
     def ends(self, film: float) -> float:
         """Radii. Distance from an own plane at which a `film` ends."""
@@ -384,10 +385,10 @@ def _tessellated(
     tried = strewn(things, len(across), TIMES, rng, in_rows=False)
     tried = tried.chosen(_is_clear(tried, planes, 1.0))
 
-    def away_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
-        return Beside.of(ground.labels, points).away(ground.labels)
+    def beside(points: NDArray[np.float32]) -> NDArray[np.float32]:
+        return room_beside(ground.labels, points, Beside.of(ground.labels, points), ground.ball)
 
-    return Tessellation.of([*things, *own], placed, tried, chambers, away_of, rng)
+    return Tessellation.of([*things, *own], [some.laid for some in placed], tried, chambers, beside, rng)
 
 
 def _own(across: list[Source], along: list[Source]) -> list[Source]:

@@ -2,7 +2,7 @@
 
 A place is in a chamber if it is in one of the horizontal picture, at the same angle, and in one of the radial pictures.
 So what lies between the chambers of a horizontal picture runs from pole to pole, as membranes do, and what lies between
-those of a radial one runs around.
+those of a radial one runs around. Beside own planes, what these show of chambers is known without a doubt.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from scipy import ndimage
 from training.priors.exemplar.noise import Noise
 from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball
 from training.priors.exemplar.quilting.disc import read_map
-from training.priors.exemplar.quilting.labels import Source
+from training.priors.exemplar.quilting.films import Beside
+from training.priors.exemplar.quilting.labels import Label, Source
 from training.priors.exemplar.sampling import blurred, read_trilinear, smoothstep
 
-__all__ = ["HALF", "NODES", "Chambers"]
+__all__ = ["BESIDE", "HALF", "NODES", "Chambers", "room_beside"]
 
 NODES, HALF = 97, 1.05
 """Nodes along each axis of the grid on which walls are known, and its half side in radii: four to the
@@ -36,6 +37,10 @@ SOFT = 2.0
 WANDER, WANDER_LENGTH, ONSET = 0.25, 0.7, 0.3
 """Standard deviation in radians by which chambers of a horizontal picture wander around the axis, the length in radii
 over which they do, and the distance from its plane from which they do: no wall is as straight as a column."""
+
+BESIDE = np.float32(0.2)
+"""Largest distance in radii from an own plane at which it tells where grains end: as far as half of what is widest
+between chambers."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,24 @@ class Chambers:
         """(M,). The distance to the nearest wall at points (M, 3) of the ball."""
         nodes = ((points + HALF) * ((NODES - 1) / (2 * HALF))).astype(np.float32)
         return read_trilinear(self.room[..., None], nodes)[:, 0]
+
+
+def room_beside(
+    labels: Sequence[Label], points: NDArray[np.float32], beside: Beside, ball_of: Callable[[NDArray[np.float32]], Ball]
+) -> NDArray[np.float32]:
+    """(M,). How far in radii points (M, 3) that lie so beside own planes are from where these show walls of chambers,
+    below 0 in walls; BESIDE at most. What is between chambers becomes narrower as fast as its plane is left: carried
+    only as far as a plane is thick, walls are lines in cuts across it."""
+    room = np.full(len(points), BESIDE, np.float32)
+    for number, far in zip(beside.numbers, beside.far, strict=True):
+        label, rows = labels[number], np.flatnonzero(np.abs(far) < BESIDE)
+        places = label.chunks.places(ball_of(points[rows]))
+        for n, source in enumerate(label.sources):
+            if source.has_grains:
+                of_it = places.of(n, label.sources)
+                depth = read_map(source.grains.depth, places.x[of_it], places.y[of_it])
+                room[rows[of_it]] = np.minimum(room[rows[of_it]], np.maximum(depth, -BESIDE) + places.distance[of_it])
+    return room
 
 
 def _across(source: Source, height: float, ball: Ball, noise: Noise) -> NDArray[np.float32]:

@@ -19,6 +19,7 @@ from skimage.measure import euler_number, regionprops
 from skimage.segmentation import relabel_sequential, watershed
 
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc
+from training.priors.exemplar.quilting.things.forms import depth_of
 from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.sampling import blurred, reduced
 
@@ -154,6 +155,11 @@ class Grains:
         nothing = np.zeros((DISC_PIXELS, DISC_PIXELS), np.int32)
         empty = np.empty(0, np.float32)
         return cls(nothing, np.empty((0, 2), np.float32), empty, empty, np.empty(0, np.bool_))
+
+    @cached_property
+    def depth(self) -> NDArray[np.float32]:
+        """(P, P). How deep each pixel is in a chamber, in radii; negative outside of them."""
+        return depth_of(self.regions).astype(np.float32)
 
     @cached_property
     def regions(self) -> NDArray[np.bool_]:

@@ -62,14 +62,15 @@ class Tessellation:
     grains: Sequence[Things]
     """The grains of each picture."""
     laid: Candidates
-    fixed: tuple[int, int]
-    """How many of these, the first ones, lie in own planes of horizontal pictures, and how many in any own plane. They
-    end at no walls, which other pictures may have moved, but at those in own planes of the other family, which show
-    where they are: towards these, they become narrower as fast as they come nearer."""
+    fixed: int
+    """How many of these, the first ones, lie in own planes: those end where own planes show walls, but not at walls
+    elsewhere, which other pictures may have moved."""
     lattice: Lattice
     chambers: Chambers
     room: NDArray[np.float32]
-    """(B,). Distances from the middles of grains to the walls at which they end."""
+    """(B,). Distances from the middles of grains to the walls of their chambers."""
+    beside: NDArray[np.float32]
+    """(B,). Their distances to where own planes nearby show walls (`room_beside`)."""
     stamps: NDArray[np.float32]
     """(T, S, S, 4). Stamps of all grains."""
 
@@ -77,37 +78,34 @@ class Tessellation:
     def of(
         cls,
         grains: Sequence[Things],
-        placed: Sequence[Placed],
+        fixed: Sequence[Candidates],
         tried: Candidates,
         chambers: Chambers,
-        away_of: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+        beside: Callable[[NDArray[np.float32]], NDArray[np.float32]],
         rng: np.random.Generator,
     ) -> Tessellation:
-        """Grains that are `placed` in own planes, those of horizontal pictures first, and as many of those that are
-        `tried` as there is room for in chambers. `away_of`: what `read` takes, for points (M, 3)."""
+        """Grains that are `fixed`, and as many of those that are `tried` as there is room for in chambers. `beside`:
+        distances (M,) of points (M, 3) to where own planes nearby show walls."""
         tried = tried.chosen(chambers.at(tried.middles) > MIDDLE * tried.radii)
         order = -tried.radii * rng.uniform(MIXED_SIZES, 1, len(tried.radii))
-        own = [some.laid for some in placed]
-        tried = Candidates.together([*own, tried.chosen(np.argsort(order, kind="stable"))])
-        count = sum(len(some.stamps) for some in own)
-        first = sum(len(some.laid.stamps) for some in placed if some.is_horizontal)
+        tried = Candidates.together([*fixed, tried.chosen(np.argsort(order, kind="stable"))])
+        count = sum(len(some.stamps) for some in fixed)
         cell = float(2 * REACHES * tried.radii.max(initial=0.01))
         laid = tried.chosen(lay(tried.middles, tried.radii, NEAR, cell, count, len(tried.radii)))
         stamps = np.concatenate([some.stamps for some in grains])
-        room, away = chambers.at(laid.middles), away_of(laid.middles[:count])
-        room[:count] += np.concatenate([away[1, :first], away[0, first:]])
-        return cls(grains, laid, (first, count), Lattice.of(laid.middles, cell), chambers, room, stamps)
+        room = chambers.at(laid.middles)
+        return cls(grains, laid, count, Lattice.of(laid.middles, cell), chambers, room, beside(laid.middles), stamps)
 
     def read(
-        self, points: NDArray[np.float32], shown: NDArray[np.float32], away: NDArray[np.float32]
+        self, points: NDArray[np.float32], shown: NDArray[np.float32], beside: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M, 3) and (M,). Colours of grains at points (M, 3), multiplied by how much of the point they cover, and that
-        cover, which is at most how much of them is to be `shown` (M,). Range [0, 1]. `away` (2, M): distances in radii
-        from own planes of horizontal pictures, and of radial ones."""
+        cover, which is at most how much of them is to be `shown` (M,). Range [0, 1]. `beside` (M,): distances of the
+        points to where own planes nearby show walls."""
         out = np.empty((len(points), 4), np.float32)
         walls = self.chambers.at(points)
-        laid = *self.laid, self.room, *self.fixed
-        for_spans(_read, len(out), points, shown, walls, away, *laid, *self.lattice, self.stamps, out)
+        laid = *self.laid, self.room, self.beside, self.fixed
+        for_spans(_read, len(out), points, shown, walls, beside, *laid, *self.lattice, self.stamps, out)
         return out[:, :3], out[:, 3]
 
     def reduced(self, n: int) -> Tessellation:
@@ -133,14 +131,14 @@ def _read(
     points: NDArray[np.float32],  # [M, 3]
     shown: NDArray[np.float32],  # [M]
     walls: NDArray[np.float32],  # [M]
-    away: NDArray[np.float32],  # [2, M]
+    beside: NDArray[np.float32],  # [M]
     middles: NDArray[np.float32],  # [B, 3]
     axes: NDArray[np.float32],  # [B, 2]
     long: NDArray[np.float32],  # [B, 3]
     short: NDArray[np.float32],  # [B, 3]
     which: NDArray[np.int64],  # [B]
     room: NDArray[np.float32],  # [B]
-    across: int,
+    room_beside: NDArray[np.float32],  # [B]
     fixed: int,
     cell: float,
     starts: NDArray[np.int64],  # [C + 1]
@@ -169,19 +167,19 @@ def _read(
         if grain < 0:
             continue
         radius = axes[grain, 1]
-        off = np.sqrt(max(radius * radius - most, zero))
+        away = np.sqrt(max(radius * radius - most, zero))
         ends = radius * np.float32(REACHES)
-        share, inside = off / ends, ends - off
+        inside = min(ends - away, beside[m])
         if inside <= zero:
             continue
-        bulge = np.float32(BULGE) * radius
-        here = walls[m] + bulge
-        if grain < fixed:
-            here += away[1, m] if grain < across else away[0, m]
-        inside = min(inside, here)
-        if inside <= zero:
-            continue
-        share = max(share, one - here / max(room[grain] + bulge, THINNEST))
+        share = max(away / ends, one - beside[m] / max(room_beside[grain], THINNEST))
+        if grain >= fixed:
+            bulge = np.float32(BULGE) * radius
+            here = walls[m] + bulge
+            inside = min(inside, here)
+            if inside <= zero:
+                continue
+            share = max(share, one - here / max(room[grain] + bulge, THINNEST))
         # Along a ray from the grain's middle, its lead over another one's power falls evenly, to 0 at their border.
         for i in range(box[0], box[1]):
             for j in range(box[2], box[3]):
