@@ -135,6 +135,17 @@ def test_what_one_plane_alone_shows_is_as_thin_as_asked_for() -> None:
         assert as_own(0.04 * side, PIXEL) < 0.5
 
 
+def test_walls_between_chambers_go_on_beside_their_plane() -> None:
+    """Also those in colours that the radial picture does not show there."""
+    made, points = quilt_of(PAIRS[1]), level(0)
+    points = points[np.abs(points[:, 1]) > 0.1]
+    own = made.labels[0]
+    walls = points[own.depth_in_chambers(own.chunks.places(made.ball(made.rinds.evened(points)))) < -0.05]
+    for height in (0.025, -0.025):
+        moved = walls + np.array([0, 0, height], np.float32)
+        assert (np.linalg.norm(made.read(moved) - made.read(walls), axis=1) < 0.3).mean() > 0.75
+
+
 def test_tones_make_no_step_at_seams(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(quilt, "match_light", lambda disc, _: disc)  # as if the light could not be matched
     made = quilted(*(Disc(np.full((DISC_PIXELS, DISC_PIXELS, 3), value, np.float32)) for value in (0.5, 0.56)))

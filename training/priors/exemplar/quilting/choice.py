@@ -30,7 +30,8 @@ to close over and must end at a seam."""
 UNSEEN_COST, UNSEEN_MOST = 2.0, 0.1
 """Cost of colours that radial pictures do not show nearby, and squared distance to their nearest colour from which it
 applies in full. Such colours are shown in their own plane alone: two pictures that contradict each other cannot both be
-right beside it, and what is thick there is a bar in cuts across it."""
+right beside it, and what is thick there is a bar in cuts across it. Walls between chambers of grains narrow towards
+their ends there (`chambers.room_beside`), and are no bars."""
 
 NEARBY = 0.035
 """Step in radii of the 5x5 points that count as nearby: two fruits have their seeds a tenth of a radius apart."""
@@ -110,6 +111,7 @@ def weigh_labels(
                 seen = read_discs(places, [s.blurred for s in label.sources])
                 surprise = np.minimum(_unseen(seen, along, here) / UNSEEN_MOST, 1) * (1 - membrane)
         if label.is_own:
+            surprise[-label.depth_in_chambers(places) > places.distance] = 0
             band = OWN_BAND * np.exp(0.4 * smooth_noise(here, 0.3, np.random.default_rng([seed, 2, n])))
             near = np.exp(-np.square(places.distance / band)) * (1 - surprise)
             own_plane = OWN_PLANE_GAIN if label.is_horizontal else OWN_PLANE_GAIN / 2  # on the line where they meet

@@ -352,6 +352,16 @@ class Label:
         closed = shown - read_discs(places, [s.parts.things for s in self.sources])
         return np.maximum(gone - lengths(closed), 0)
 
+    def depth_in_chambers(self, places: Places) -> NDArray[np.float32]:
+        """(M,). How deep in chambers of grains the pictures show the places, in radii, below 0 outside of them;
+        infinite in pictures that are not made of grains."""
+        depth = np.full(len(places.x), np.inf, np.float32)
+        for n, source in enumerate(self.sources):
+            if source.has_grains:
+                rows = places.of(n, self.sources)
+                depth[rows] = read_map(source.grains.depth, places.x[rows], places.y[rows])
+        return depth
+
     def in_own_tones(
         self, even: NDArray[np.float32], places: Places, crossing: NDArray[np.float32]
     ) -> NDArray[np.float32]:

@@ -94,11 +94,8 @@ def room_beside(
     for number, far in zip(beside.numbers, beside.far, strict=True):
         label, rows = labels[number], np.flatnonzero(np.abs(far) < BESIDE)
         places = label.chunks.places(ball_of(points[rows]))
-        for n, source in enumerate(label.sources):
-            if source.has_grains:
-                of_it = places.of(n, label.sources)
-                depth = read_map(source.grains.depth, places.x[of_it], places.y[of_it])
-                room[rows[of_it]] = np.minimum(room[rows[of_it]], np.maximum(depth, -BESIDE) + places.distance[of_it])
+        depth = np.maximum(label.depth_in_chambers(places), -BESIDE)
+        room[rows] = np.minimum(room[rows], depth + places.distance)
     return room
 
 
