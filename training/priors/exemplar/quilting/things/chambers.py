@@ -39,8 +39,8 @@ WANDER, WANDER_LENGTH, ONSET = 0.25, 0.7, 0.3
 over which they do, and the distance from its plane from which they do: no wall is as straight as a column."""
 
 BESIDE = np.float32(0.2)
-"""Largest distance in radii from an own plane at which it tells where grains end: as far as half of what is widest
-between chambers."""
+"""Largest distance in radii from an own plane at which it tells where grains end: half of what is widest between the
+chambers of two horizontal photographs. In radial ones, 0.28 and 0.44 are found around the stem."""
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ CLOSE = 0.03
 
 FADE = 0.1
 """Distance in radii from that plane over which the colours of radial pictures fade: over CLOSE, the plane shows as a
-bar across the column. With twice as much, a quarter of an orange's pith has none of them."""
+bar across the column. With twice as much, the middle of an orange's pith is pale."""
 
 
 @dataclass(frozen=True)
