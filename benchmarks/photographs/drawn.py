@@ -103,6 +103,23 @@ def cantaloupe(at: Values, number: int) -> Values:
     return blend(rgb, [0.6, 0.6, 0.45], (length - 0.965) * 60) + grain(at, 0.6, number, 0.012)
 
 
+def coconut(at: Values, number: int) -> Values:
+    """A large hollow in white flesh, in a shell that is as dark as it."""
+    length = np.linalg.norm(at, axis=-1) + grain(at, 0.2, number, 0.01)[..., 0]
+    rgb = blend(plain(at, [0.97, 0.96, 0.94]), [0.35, 0.3, 0.27], (0.58 - length) * 60)
+    rgb = blend(rgb, [0.45, 0.28, 0.15], (length - 0.85) * 80)
+    return blend(rgb, [0.3, 0.18, 0.1], (length - 0.9) * 60) + grain(at, 0.8, number, 0.012)
+
+
+def dragon_fruit(at: Values, number: int) -> Values:
+    """Very many small seeds in white flesh."""
+    rng, length = np.random.default_rng(number), np.linalg.norm(at, axis=-1)
+    places = on_sphere(1800, rng) * 0.84 * rng.uniform(0.02, 1, (1800, 1)) ** (1 / 3)
+    rgb = ellipsoids(plain(at, [0.95, 0.94, 0.93]), at, places, [0.018] * 3, [0.1, 0.1, 0.12])
+    rgb = blend(rgb, [0.9, 0.2, 0.55], (length - 0.88) * 60)
+    return blend(rgb, [0.8, 0.1, 0.4], (length - 0.95) * 60) + grain(at, 0.6, number, 0.012)
+
+
 def egg(at: Values, number: int) -> Values:
     """A yolk that is not round and lies beside the middle, in a thin green layer."""
     rng, (_, _, angle, _) = np.random.default_rng(number), cylindrical(at)
@@ -159,6 +176,15 @@ def lemon(at: Values, number: int) -> Values:
     return blend(rgb, [0.95, 0.8, 0.1], (length - 0.95) * 60) + grain(at, 0.9, number, 0.03)
 
 
+def muffin(at: Values, number: int) -> Values:
+    """Large berries, some of which touch, in coarse crumb."""
+    rng, length = np.random.default_rng(number), np.linalg.norm(at, axis=-1)
+    places = on_sphere(60, rng) * 0.85 * rng.uniform(0.02, 1, (60, 1)) ** (1 / 3)
+    rgb = ellipsoids(plain(at, [0.93, 0.82, 0.55]), at, places, [0.1] * 3, [0.2, 0.12, 0.35])
+    rgb = ellipsoids(rgb, at, places, [0.075] * 3, [0.4, 0.25, 0.45])
+    return blend(rgb, [0.65, 0.4, 0.18], (length - 0.93) * 30) + grain(at, 1.0, number, 0.05)
+
+
 def onion(at: Values, number: int) -> Values:
     """Uneven shells, of which no two individuals have the same number."""
     _, z, angle, length = cylindrical(at)
@@ -200,6 +226,30 @@ def peach(at: Values, number: int) -> Values:
     return blend(rgb, [0.8, 0.25, 0.2], (length - 0.96) * 60) + grain(at, 0.6, number, 0.015)
 
 
+def persimmon(at: Values, number: int) -> Values:
+    """Eight dark petals around a pale column."""
+    out, z, angle, length = cylindrical(at)
+    rgb = blend(plain(at, [0.93, 0.5, 0.15]), [0.95, 0.58, 0.2], (length - 0.6) / 0.3)
+    off = 1 - 2 * np.abs((angle / (2 * np.pi) * 8 + 0.1 * number) % 1 - 0.5)
+    petals = np.linalg.norm(np.stack([(out - 0.33) / 0.25, off / 0.5, z / 0.35], -1), axis=-1)
+    rgb = blend(rgb, [0.8, 0.36, 0.08], 0.9 * np.clip((1 - petals) * 6, 0, 1))
+    rgb = blend(rgb, [0.97, 0.85, 0.6], (0.07 - out) * 60 * (np.abs(z) < 0.8))
+    return blend(rgb, [0.85, 0.35, 0.08], (length - 0.965) * 60) + grain(at, 0.8, number, 0.015)
+
+
+def pumpkin(at: Values, number: int) -> Values:
+    """A hollow of strings and large pale seeds."""
+    rng, (_, _, angle, length) = np.random.default_rng(number), cylindrical(at)
+    hollow = np.linalg.norm(at / [0.62, 0.62, 0.5], axis=-1) + 0.04 * np.sin(7 * angle + number)
+    rgb = blend(plain(at, [0.95, 0.65, 0.2]), [0.75, 0.4, 0.1], (1 - hollow) * 20)
+    strings = np.clip(grain(at, 1.3, number, 1.0)[..., 0] - 0.6, 0, 1)
+    rgb = blend(rgb, [0.97, 0.75, 0.3], strings * (hollow < 1))
+    places, turns = around_axis(220, (0.25, 0.55), 0.36, rng)
+    inside = np.linalg.norm(places / [0.62, 0.62, 0.5], axis=1) < 0.9
+    rgb = ellipsoids(rgb, at, places[inside], [0.07, 0.035, 0.045], [0.96, 0.93, 0.8], turns[inside])
+    return blend(rgb, [0.9, 0.45, 0.1], (length - 0.95) * 60) + grain(at, 0.8, number, 0.02)
+
+
 def strawberry(at: Values, number: int) -> Values:
     """Pale rays and a core in flesh whose colour goes by the depth."""
     out, z, angle, length = cylindrical(at)
@@ -230,15 +280,20 @@ def tomato(at: Values, number: int) -> Values:
 KINDS: dict[str, Kind] = {
     "avocado": avocado,
     "cantaloupe": cantaloupe,
+    "coconut": coconut,
+    "dragon fruit": dragon_fruit,
     "egg": egg,
     "fig": fig,
     "geode": geode,
     "kiwi": kiwi,
     "lemon": lemon,
+    "muffin": muffin,
     "onion": onion,
     "papaya": papaya,
     "passion fruit": passion_fruit,
     "peach": peach,
+    "persimmon": persimmon,
+    "pumpkin": pumpkin,
     "strawberry": strawberry,
     "tomato": tomato,
 }

@@ -14,7 +14,7 @@ from engine.scene.grid import Body, Grid
 from tests.paths import SHARED
 from training.faces.marks import Marks
 from training.faces.polygon import mask_polygon
-from training.priors.exemplar.pictures import read_picture
+from training.priors.exemplar.pictures import Picture, read_picture
 from training.priors.exemplar.quilting.disc import Disc
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -50,11 +50,17 @@ def save(path: Path, picture: NDArray[np.floating]) -> Path:
 
 
 @cache
-def photograph(name: str) -> Disc:
+def picture_of(name: str) -> Picture:
     """A photograph of fruit, whose name gives the kind of cut, with its hand-marked mask, as finding the face takes a
     second; skips the test where the photographs are missing."""
     folder = SHARED / "photos/fruit"
     if not folder.exists():
         pytest.skip("the photographs are not beside the repository")
     face = Marks(outline=mask_polygon(read_pixels(folder / f"masks/{name}.png")[..., 0] > 127))
-    return Disc.of(read_picture(folder / f"{name}.png", "horizontal" if "_h" in name else "radial", face))
+    return read_picture(folder / f"{name}.png", "horizontal" if "_h" in name else "radial", face)
+
+
+@cache
+def photograph(name: str) -> Disc:
+    """The same, stretched to the unit disc."""
+    return Disc.of(picture_of(name))

@@ -45,7 +45,7 @@ from training.priors.exemplar.layering.sheet import Sheet
 from training.priors.exemplar.lighting import colour_gain
 from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, read_picture, resolved_share
-from training.priors.exemplar.quilting.agreement import show_one_thing
+from training.priors.exemplar.quilting.agreement import runs_upwards, show_one_thing
 from training.priors.exemplar.quilting.disc import BallMap, Disc
 from training.priors.exemplar.quilting.inside import FILM, QuiltInside
 from training.priors.exemplar.quilting.labels import made_of_grains
@@ -78,9 +78,9 @@ def solve(
     """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
 
     It has fewer cells if the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Horizontal and radial pictures that
-    disagree where they meet, or show a core that ends, are quilted, unless they show the `same` thing; so is one of
-    these families that shows things close together or chambers around the axis, which no layer can continue. All others
-    continue layer by layer.
+    disagree where they meet, or show a core that ends, are quilted, unless they show the `same` thing or all runs along
+    the axis; so is one of these families that shows things close together or chambers around the axis, which no layer
+    can continue. All others continue layer by layer.
     Raises InputError if no family has an exemplar or a picture cannot be used.
     """
     families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
@@ -118,7 +118,8 @@ def solve(
             has_chambers = kind == POLAR and show_chambers(discs[POLAR])
             is_quilted = has_chambers or made_of_grains(discs[kind][0], kind == POLAR)
         else:
-            is_quilted = not same and (
+            along = next(own for view, own in zip(views, taken, strict=True) if view.kind == RADIAL)
+            is_quilted = not (same or all(runs_upwards(picture) for picture in along)) and (
                 not show_one_thing(discs[POLAR], discs[RADIAL])
                 or show_core_that_ends(discs[POLAR], discs[RADIAL], ball.height)
             )

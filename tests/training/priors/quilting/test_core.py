@@ -11,7 +11,7 @@ from skimage.measure import label, regionprops
 
 from tests.helpers.exemplar_faces import photograph
 from training.priors.exemplar.quilting import quilt
-from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, even_sides, match_light
+from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, disc_radius, even_sides, match_light
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 from training.priors.exemplar.quilting.rinds import rind_of
@@ -207,6 +207,18 @@ def test_a_stone_is_one_solid_that_two_pictures_at_different_heights_are_of() ->
     dark = is_dark(made, points)
     assert dark[depth > 0.05].mean() > 0.99
     assert dark[depth < -0.05].sum() < 0.01 * (depth > 0).sum()
+
+
+def test_a_shell_around_a_core_is_another_thing() -> None:
+    """As in a coconut: closed in from all sides, the flesh between the hollow and the shell is no part of it."""
+    radius = disc_radius()
+    half = 0.55
+    disc = face((radius < half) | (radius > 0.84))
+    core = core_of(disc, disc)
+    assert core.profile is not None
+    assert core.profile.reach == pytest.approx((half, half), abs=0.03)
+    level = np.array([-0.4, 0.2, 0.4])
+    assert core.profile.grown(level) == pytest.approx(np.sqrt(1 - np.square(level / half)), abs=0.05)
 
 
 def test_a_core_is_found_where_walls_join_it_to_the_rind() -> None:

@@ -1,5 +1,5 @@
-"""Tells whether a horizontal and a radial picture can show one thing in one light: whether they agree where they
-meet."""
+"""Tells whether layers can go on through pictures: whether a horizontal and a radial one can show one thing in one
+light, as they agree where they meet; and whether all that a radial one shows runs along the axis."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.solid.distance_transform import depth_in
+from training.priors.exemplar.pictures import Picture
 from training.priors.exemplar.quilting.disc import Disc
+from training.priors.exemplar.sampling import blurred
 
-__all__ = ["disagreement", "show_one_thing"]
+__all__ = ["disagreement", "runs_upwards", "show_one_thing"]
 
 MOST_DISAGREEMENT = 0.295
 """Largest disagreement of two pictures of one thing. Four solids of our own have 0.10 to 0.28 with three seeds each,
@@ -28,6 +31,19 @@ TURNS = 240
 
 HEIGHTS = np.linspace(-0.5, 0.5, 51)
 """Heights of the horizontal picture's plane that are tried."""
+
+DETAILS = 0.008, 0.1
+"""Standard deviations of two blurs, over the radius of a disc as large as the face, between which lie the details that
+may be lines."""
+
+WITHIN, NEARBY = 0.18, 0.1
+"""Depth from which a face is looked at, as a rind runs along its rim, and standard deviation of the neighbourhoods in
+which that is done, both over that radius."""
+
+UPRIGHT, EVERYWHERE = 0.7, 0.25
+"""Least share across the axis of the squared slope of details that run along it, and the quantile of neighbourhoods
+that have it: a core runs along the axis as well. Twelve photographs of fruit have 0.32 to 0.51 there, drawn wood 0.98
+and, as wavy and leaning as wood with knots, 0.81."""
 
 
 def show_one_thing(horizontal: Sequence[Disc], radial: Sequence[Disc]) -> bool:
@@ -55,6 +71,17 @@ def disagreement(horizontal: Disc, radial: Disc) -> float:
             distance = float(distances[nearest])
             contrast = float(np.mean([line.var(0).sum() for line in (row, lines[:, nearest])]))
     return float(np.sqrt(distance / max(contrast, 1e-6)))
+
+
+def runs_upwards(picture: Picture) -> bool:
+    """Whether all that a radial picture shows runs along the axis, as the grain of wood does: the layers of a
+    horizontal one go on through the object, whatever individual it shows."""
+    radius = np.sqrt(picture.mask.sum() / np.pi)
+    fine, coarse = (blurred(picture.rgb, sigma * radius) for sigma in DETAILS)
+    inside = depth_in(picture.mask) > WITHIN * radius
+    slopes = (np.square(s).sum(-1) * inside for s in np.gradient(fine - coarse, axis=(0, 1)))
+    along, across = (blurred(s, NEARBY * radius)[inside] for s in slopes)
+    return bool(np.quantile(across / np.maximum(along + across, 1e-12), EVERYWHERE) > UPRIGHT)
 
 
 def _smooth(lines: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -26,11 +26,13 @@ def widths_along(along: Sequence[Disc], reach: float, height: float) -> NDArray[
 
 
 def shown_along(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
-    """(P, P). What stands out in a radial face around the axis, as far out as it may reach, in one piece."""
+    """(P, P). What stands out in a radial face around the axis, as far out as it may reach, in one piece: a shell
+    around it that stands out as well is another."""
     near = np.abs(disc_grid()[0]) < MOST * reach
-    found = ndimage.binary_fill_holes(stands_out(disc, reach, height) & near & (disc_radius() < 1))
-    parts, _ = ndimage.label(found)
+    parts, _ = ndimage.label(stands_out(disc, reach, height) & near & (disc_radius() < 1))
     middle = slice(DISC_PIXELS // 2 - 1, DISC_PIXELS // 2 + 1)
     sizes = np.bincount(parts[middle].ravel(), minlength=2)
     sizes[0] = 0
-    return parts == sizes.argmax() if sizes.any() else np.zeros_like(found)
+    if not sizes.any():
+        return np.zeros(parts.shape, np.bool_)
+    return np.asarray(ndimage.binary_fill_holes(parts == sizes.argmax()))
