@@ -23,8 +23,8 @@ SIZE = 300
 
 
 def log(x: NDArray[np.floating], y: NDArray[np.floating], z: NDArray[np.floating], number: int) -> NDArray[np.float32]:
-    """(..., 3). The wood of one log at places (...) in the unit ball, the axis along z: mottled rings with a sharp edge,
-    neither round nor quite upright, in bark."""
+    """(..., 3). The wood of one log at places (...) in the unit ball, the axis along z: mottled rings with a sharp
+    edge, neither round nor quite upright, in bark."""
     angle, radius = np.arctan2(y, x), np.hypot(x, y)
     ring = (radius + 0.03 * np.sin(2 * angle + number) + 0.02 * np.sin(3 * z + number)) * (11 + number)
     rgb = PALE + ((ring % 1) ** 3)[..., None] * (LATE - PALE)
@@ -81,10 +81,15 @@ def test_fruit_does_not_whatever_its_core_does(name: str) -> None:
 
 
 def test_two_logs_make_one(logs: tuple[Path, Path]) -> None:
-    """Rings go on along the axis in planes that no picture shows, and are rings in level ones."""
+    """Rings go on along the axis in planes that no picture shows, and are rings in level ones, those of the picture
+    across it; one is told so."""
     families = [Family("horizontal", 40, logs[:1]), Family("radial", 30, logs[1:])]
-    inside = ExemplarPrior().solve(ball(48), UP, families, 80, 0, quiet).inside
+    volume = ExemplarPrior().solve(ball(48), UP, families, 80, 0, quiet)
+    inside = volume.inside
     assert isinstance(inside, LayeredInside)
+    assert any(str(logs[1]) in note and "runs along the axis" in note for note in volume.notes)
+    alone = ExemplarPrior().solve(ball(48), UP, families[:1], 80, 0, quiet)
+    assert np.array_equal(volume.rgb, alone.rgb)
     v, u = 0.6 * ((np.mgrid[:200, :200] + 0.5) / 100 - 1)
     turn = np.radians(50)
     upright = np.stack([u * np.cos(turn), u * np.sin(turn), v], -1)

@@ -65,6 +65,8 @@ CELLS_PER_RESOLVED_PIXEL = 2.0
 pictures of 70 pixels has 0.46 of the true sharpness on 192 cells, 0.45 on 144, 0.40 on 112 and 0.29 on 80; the patch
 distance is best at 144, which also needs 0.4 times the atoms of 192."""
 
+_NOT_NEEDED = "all that it shows runs along the axis, so the pictures across the axis decide what is inside"
+
 
 def solve(
     body: Body,
@@ -78,9 +80,10 @@ def solve(
     """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
 
     It has fewer cells if the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Horizontal and radial pictures that
-    disagree where they meet, or show a core that ends, are quilted, unless they show the `same` thing or all runs along
-    the axis; so is one of these families that shows things close together or chambers around the axis, which no layer
-    can continue. All others continue layer by layer.
+    disagree where they meet, or show a core that ends, are quilted, unless they show the `same` thing; so is one of
+    these families that shows things close together or chambers around the axis, which no layer can continue. All others
+    continue layer by layer. Where radial pictures disagree with horizontal ones, but show that all runs along the axis,
+    as in wood, that is all that is taken from them.
     Raises InputError if no family has an exemplar or a picture cannot be used.
     """
     families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
@@ -118,11 +121,14 @@ def solve(
             has_chambers = kind == POLAR and show_chambers(discs[POLAR])
             is_quilted = has_chambers or made_of_grains(discs[kind][0], kind == POLAR)
         else:
+            show_one = same or show_one_thing(discs[POLAR], discs[RADIAL])
             along = next(own for view, own in zip(views, taken, strict=True) if view.kind == RADIAL)
-            is_quilted = not (same or all(runs_upwards(picture) for picture in along)) and (
-                not show_one_thing(discs[POLAR], discs[RADIAL])
-                or show_core_that_ends(discs[POLAR], discs[RADIAL], ball.height)
-            )
+            if not show_one and all(runs_upwards(picture) for picture in along):
+                log.info("all runs along the axis: carried along it from the pictures across it alone")
+                across_it = [family for family in families if family.kind != "radial"]
+                volume = solve(body, up, across_it, voxels, seed, progress)
+                return replace(volume, notes=(*notes, *(f"{picture.path}: {_NOT_NEEDED}" for picture in along)))
+            is_quilted = not same and (not show_one or show_core_that_ends(discs[POLAR], discs[RADIAL], ball.height))
         if is_quilted:
             log.info("no picture goes on through the object: each is followed in its own plane, and mixed between")
             quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part), ball.height)
