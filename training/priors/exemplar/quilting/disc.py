@@ -76,6 +76,11 @@ REDUCTION = 4
 MEDIAN_PIXELS = 4
 """Radius in pixels from which a median is taken on a coarser picture: wide medians of a fine picture take seconds."""
 
+FLESH_RINGS, MIDDLE_RINGS, CORE_CONTRAST = (12, 19), 4, 0.12
+"""Rings that show flesh, and rings that show a core if it differs from that by this RGB distance, as a thing does from
+its surroundings. Where only one of two pictures shows its core, as stones are not equally wide, a ring is no pair: a
+brown stone became as pale as flesh."""
+
 ROWS = 8
 """Rows of a disc whose light is matched at a time."""
 
@@ -264,8 +269,10 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
     where = [level & ~grains for grains in chambers] or [level, level]
     pixels = np.bincount(ring[level], minlength=RINGS)
     left = np.min([np.bincount(ring[w], minlength=RINGS)[:RINGS] / pixels[:RINGS] for w in where], axis=0)
-    rings = np.flatnonzero((left > LEAST_SHARE) & (np.arange(RINGS) >= CORE_RINGS))
-    colours, wanted = (ring_medians(d, RINGS, w)[rings] for d, w in zip((disc, to), where, strict=True))
+    medians = [ring_medians(d, RINGS, w) for d, w in zip((disc, to), where, strict=True)]
+    in_one_core = np.logical_xor(*(_core_rings(m) for m in medians))
+    rings = np.flatnonzero((left > LEAST_SHARE) & (np.arange(RINGS) >= CORE_RINGS) & ~in_one_core)
+    colours, wanted = (m[rings] for m in medians)
     depth = np.maximum(disc_radius(), RIND_RADIUS)
     middles = [np.broadcast_to(m, depth.shape) for m in np.maximum((rings + 0.5) / RINGS, RIND_RADIUS)]
     area = (2 * rings + 1) * left[rings]
@@ -294,6 +301,18 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
     # By some rows at a time: the weights of all pixels do not fit in the cache.
     matched = np.concatenate([moved(slice(n, n + ROWS)) for n in range(0, DISC_PIXELS, ROWS)])
     return Disc(np.clip(matched, 0, 1).astype(np.float32))
+
+
+def _core_rings(colours: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(RINGS,). Which rings of a face, with these median colours (RINGS, 3), are its core: from the middle out to where
+    half of its contrast with the flesh is left. Where there is none, as with pixels left out, colours are NaN."""
+    flesh = colours[slice(*FLESH_RINGS)]
+    flesh = flesh[np.isfinite(flesh).all(1)]
+    if not len(flesh):
+        return np.zeros(len(colours), bool)
+    away = np.nan_to_num(np.linalg.norm(colours - np.median(flesh, axis=0), axis=1))
+    middle = float(away[:MIDDLE_RINGS].max())
+    return np.logical_and.accumulate(away > max(middle / 2, CORE_CONTRAST / 2)) & (middle > CORE_CONTRAST)
 
 
 def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True) -> NDArray[np.float32]:
