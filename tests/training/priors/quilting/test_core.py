@@ -353,6 +353,15 @@ def test_a_long_core_keeps_its_colour_in_the_light_of_another_picture() -> None:
     assert np.abs(lit.read(np.full(5, 0.5), up) - FLESH).max() < 0.1
 
 
+@pytest.mark.parametrize(("one", "other"), [(0.37, 0.3), (0.3, 0.37), (0.34, 0.34)])
+def test_a_stone_keeps_its_colour_whatever_its_width_in_another_picture(one: float, other: float) -> None:
+    """The ring that is stone in one of them and flesh in the other is no pair of colours."""
+    radius, light = disc_radius(), np.array([1.0, 0.95, 0.8], np.float32)
+    lit = match_light(Disc(face(radius < one).rgb * light), face(radius < other))
+    assert np.abs(np.median(lit.rgb[radius < one - 0.02], axis=0) - DARK).max() < 0.05
+    assert np.abs(np.median(lit.rgb[(radius > 0.45) & (radius < 0.8)], axis=0) - FLESH).max() < 0.02
+
+
 @pytest.mark.parametrize(
     ("name", "least", "most"),
     [("apple_h1", 0.25, 0.45), ("apple_h2", 0.25, 0.45), ("watermelon_h8", 0, 0)],
