@@ -43,7 +43,7 @@ class Detail:
 # distance by half and saves no measurable time (benchmarks/presets).
 # Tolerances of 0.025, 0.05, 0.1 and 0.2 make 64, 49, 35 and 22 thousand skin atoms of a capture of a guitar, at 25.6,
 # 25.4, 25.3 and 24.4 dB in unseen views after a quarter of the standard steps. Standard is at the knee: high doubles
-# the atoms for at most 0.4 dB, and draft is 4 to 7 dB under it in a quarter of the time or less
+# the atoms for at most 0.2 dB, and draft is 4 to 7 dB under it in a quarter of the time or less
 # (docs/charts/fidelity.png). With 60, 90 and 120 views the guitar is at 26.8, 26.9 and 27.1 dB. With 480 and 600 steps
 # the guitar is at 27.0 and 27.3, a donut at 35.9 and 36.2, a plant at 31.6 and 31.8, a box at 26.8 and 26.9, for 20 %
 # more time. Splitting a tenth of the atoms where the gradients of means are largest gained nothing there (guitar 26.9,

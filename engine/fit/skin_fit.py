@@ -52,8 +52,8 @@ HELD_OUT = 12
 """One view in this many is held out and decides whether the result is better."""
 
 FAITHFUL = 38.0
-"""dB at held-out views from which a skin is not fitted. Fits of captures end below it at unseen views (donut 37.8,
-plant 32.8), and the scans of an orange and an apple went from 40.1 and 39.6 down to 39.3 and 38.7. Steps of a tenth or
+"""dB at held-out views from which a skin is not fitted. Fits of captures end below it at unseen views (donut 37.7,
+plant 32.6), and the scans of an orange and an apple went from 40.1 and 39.6 down to 39.3 and 38.7. Steps of a tenth or
 a twentieth gain nothing there either: what the texture wins, the outline loses."""
 
 SMALLEST = 1 / 64

@@ -75,6 +75,11 @@ def test_wood_runs_upwards(waves: float, lean: float, knots: bool) -> None:
     assert runs_upwards(plank(waves, lean, knots))
 
 
+def test_a_sliver_tells_nothing() -> None:
+    mask = np.pad(np.ones((400, 10), bool), 1)
+    assert not runs_upwards(Picture(Path("sliver.png"), np.full((*mask.shape, 3), 0.5, np.float32), mask))
+
+
 @pytest.mark.parametrize("name", ["apple_v1", "apple_v2", "orange_v3", "watermelon_v1", "pomegranate_v5"])
 def test_fruit_does_not_whatever_its_core_does(name: str) -> None:
     assert not runs_upwards(picture_of(name))

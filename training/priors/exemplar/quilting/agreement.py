@@ -79,6 +79,8 @@ def runs_upwards(picture: Picture) -> bool:
     radius = np.sqrt(picture.mask.sum() / np.pi)
     fine, coarse = (blurred(picture.rgb, sigma * radius) for sigma in DETAILS)
     inside = depth_in(picture.mask) > WITHIN * radius
+    if not inside.any():
+        return False  # so slim that there is nothing but a rim
     slopes = (np.square(s).sum(-1) * inside for s in np.gradient(fine - coarse, axis=(0, 1)))
     along, across = (blurred(s, NEARBY * radius)[inside] for s in slopes)
     return bool(np.quantile(across / np.maximum(along + across, 1e-12), EVERYWHERE) > UPRIGHT)

@@ -27,6 +27,7 @@ __all__ = [
     "PIXEL",
     "REACH",
     "RIND_RADIUS",
+    "THING_CONTRAST",
     "BallMap",
     "Disc",
     "Medians",
@@ -76,10 +77,14 @@ REDUCTION = 4
 MEDIAN_PIXELS = 4
 """Radius in pixels from which a median is taken on a coarser picture: wide medians of a fine picture take seconds."""
 
-FLESH_RINGS, MIDDLE_RINGS, CORE_CONTRAST = (12, 19), 4, 0.12
-"""Rings that show flesh, and rings that show a core if it differs from that by this RGB distance, as a thing does from
-its surroundings. Where only one of two pictures shows its core, as stones are not equally wide, a ring is no pair: a
-brown stone became as pale as flesh."""
+FLESH_RINGS, MIDDLE_RINGS = (12, 19), 4
+"""Rings most of which show flesh, however large a core is, and those that show a core if there is one. Where only one
+of two pictures shows its core, as stones are not equally wide, a ring is no pair: a brown stone became as pale as
+flesh."""
+
+THING_CONTRAST = 0.12
+"""Least RGB distance from what is around it, or shows beyond its end, for a pixel to be of a thing that is laid whole:
+half as much again as the least contrast of a closed thing, as the thing is taken out of its picture."""
 
 ROWS = 8
 """Rows of a disc whose light is matched at a time."""
@@ -312,7 +317,7 @@ def _core_rings(colours: NDArray[np.float32]) -> NDArray[np.bool_]:
         return np.zeros(len(colours), bool)
     away = np.nan_to_num(np.linalg.norm(colours - np.median(flesh, axis=0), axis=1))
     middle = float(away[:MIDDLE_RINGS].max())
-    return np.logical_and.accumulate(away > max(middle / 2, CORE_CONTRAST / 2)) & (middle > CORE_CONTRAST)
+    return np.logical_and.accumulate(away > middle / 2) & (middle > THING_CONTRAST)
 
 
 def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True) -> NDArray[np.float32]:

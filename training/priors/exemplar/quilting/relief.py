@@ -22,6 +22,7 @@ from engine.threads import for_spans
 from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
     PIXEL,
+    THING_CONTRAST,
     Disc,
     Medians,
     disc_radius,
@@ -31,7 +32,7 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.sampling import lengths, opened, reduced
 
-__all__ = ["BLEND", "NARROWEST", "THING_CONTRAST", "TYPICAL", "Relief"]
+__all__ = ["BLEND", "NARROWEST", "TYPICAL", "Relief"]
 
 WIDTHS = (0.05, 0.12, 0.22)
 """Radii of the medians to which the colours of a picture give way, one after the other, in radii of the disc: for
@@ -67,10 +68,6 @@ picture: as for the details of layers. With less, an orange's juice sacs are thi
 
 CLOSE = np.float32(0.01)
 """Distance in radii at which what lies between the parts of a thing that is laid whole ends."""
-
-THING_CONTRAST = 0.12
-"""Least RGB distance from what shows beyond its end for a pixel to be of a thing that is laid whole: half as much again
-as LEAST_CONTRAST, as the thing is taken out of its picture."""
 
 NARROWEST = 0.01
 """Least half width of a thing in radii: anything narrower is texture."""

@@ -20,12 +20,13 @@ from training.priors.exemplar.quilting.disc import (
     HALO,
     PIXEL,
     RIND_RADIUS,
+    THING_CONTRAST,
     Disc,
     disc_grid,
     disc_radius,
     to_pixels,
 )
-from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST
+from training.priors.exemplar.quilting.relief import NARROWEST
 from training.priors.exemplar.quilting.things.forms import form_around, form_of, thickest
 from training.priors.exemplar.rind import FLESH
 from training.priors.exemplar.sampling import blurred, lengths, opened, read_bilinear
