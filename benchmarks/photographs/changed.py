@@ -177,6 +177,23 @@ def overlapping(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
     return shown, np.pad(mask, left)
 
 
+def among_others(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+    """Between six copies of it, turned and of other light and ripeness, that nearly touch it and reach the border."""
+    around = border_colour(rgb)
+    rgb, mask = tight(rgb, mask)
+    size = max(mask.shape)
+    margins = [((size - side) // 2 + size // 20, (size - side + 1) // 2 + size // 20) for side in mask.shape]
+    rgb, truth = np.pad(rgb, (*margins, (0, 0))), np.pad(mask, margins)
+    shown = np.broadcast_to(around, rgb.shape).astype(np.float32)
+    middle = np.array(truth.shape[::-1]) / 2
+    for n in range(6):
+        turn = cv2.getRotationMatrix2D(middle.tolist(), 50 * n, 1)
+        turn[:, 2] += 1.03 * size * np.array([np.cos(n * np.pi / 3), np.sin(n * np.pi / 3)])
+        face, there = (cv2.warpAffine(a, turn, truth.shape[::-1]) for a in (rgb, truth.astype(np.float32)))
+        shown = laid(shown, lit((1, 1 - 0.08 * n, 1 - 0.04 * n))(face, truth)[0], there > 0.5)
+    return laid(shown, rgb, truth), truth
+
+
 def border_colour(rgb: Pixels) -> NDArray[np.float32]:
     """(3,). The median of the outermost pixels."""
     return np.asarray(np.median(np.concatenate([rgb[0], rgb[-1], rgb[:, 0], rgb[:, -1]]), axis=0))
@@ -207,6 +224,7 @@ CHANGES: dict[str, Change] = {
     "before bricks": before("brick.png"),
     "in a workshop": before("motorcycle_left.png"),
     "over another": overlapping,
+    "among others": among_others,
 }
 
 

@@ -21,7 +21,7 @@ from training.faces.background import Background, find_background, find_main_sur
 from training.faces.bulges import find_front
 from training.faces.completion import NEAR_BORDER, find_oval
 from training.faces.edges import BARE, HALF, SKINNED, THIRD_COLOUR, largest_component, nearest, skin_share
-from training.faces.outline import CutOffError, find_central, find_mask, is_dimmed_around
+from training.faces.outline import MIN_CENTRAL, CutOffError, find_central, find_mask, is_dimmed_around
 from training.faces.shadow import SHADE, light_around
 
 __all__ = ["SeenFace", "find_seen_face"]
@@ -164,7 +164,8 @@ def _on_what_crosses_the_border(rgb: NDArray[np.float32], plain: Background | No
 
 
 def _before_pattern(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """(H, W). The face in front of a cloth or board of several colours; None if none stands out.
+    """(H, W). The face in front of a cloth or board of several colours, or among others; None if hardly anything stands
+    out.
 
     Squares of the cloth have edges as strong as the face's, and those in its shadow have colours of their own: what the
     pattern explains, and what hangs on the face by a corner, is no part of it.
@@ -180,7 +181,13 @@ def _before_pattern(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     mask &= ndimage.binary_dilation(largest_component(unlike), iterations=2)
     radius = HANGING * np.sqrt(4 / np.pi * mask.sum())
     deep = depth_in(mask) > radius
-    return largest_component(depth_in(~deep) <= radius) if deep.any() else None
+    face = largest_component(depth_in(~deep) <= radius)
+    if face.mean() < MIN_CENTRAL:
+        return None
+    # Other faces on all sides are a pattern, too, and what they do not explain is a piece of this one.
+    skinned = skin_share(rgb, face)
+    central = find_central(rgb) if skinned < SKINNED else None
+    return face if central is None or skin_share(rgb, central) < skinned + BARE else central
 
 
 def _without_arm(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:

@@ -247,6 +247,27 @@ def test_nothing_is_found_before_bricks_alone_or_where_the_border_cuts_the_face(
             find_seen_face(photographed(picture), "bricks")
 
 
+def slices_around(places: list[float]) -> NDArray:
+    """Slices that touch one in the middle, in these directions, on white."""
+    rng, picture = np.random.default_rng(3), np.full((SIZE, SIZE, 3), 0.97)
+    for turn in places:
+        flesh = np.array([0.95, rng.uniform(0.3, 0.8), 0.15])
+        r = np.hypot(X - 1.6 * np.cos(turn), Y - 1.6 * np.sin(turn))
+        picture = over(lay(picture, r < 0.76, 0.6 * flesh), r < 0.66, flesh)
+    return picture
+
+
+@pytest.mark.parametrize("others", [5, 6, 7])
+def test_a_slice_among_others_is_found_whole(others: int) -> None:
+    """The colours of its flesh go on beside it, so that they pass for a pattern; its rind is seen all around."""
+    picture, r = slices_around([n / others * 2 * np.pi for n in range(others)]), np.hypot(X, Y)
+    picture = over(lay(picture, r < 0.84, [0.35, 0.4, 0.12]), r < 0.76, [0.8, 0.82, 0.4])
+    sectors = np.abs(np.sin(5 * np.arctan2(Y, X))) < 0.1
+    found = find_seen_face(photographed(over(picture, sectors & (r < 0.76), [0.9, 0.9, 0.6])), "slices")
+    assert mask_iou(found.mask, r < 0.84) > 0.95
+    assert "has several colours" in found.note
+
+
 @pytest.mark.parametrize("shape", [(8, 300), (12, 12), (300, 20)])
 def test_a_strip_of_a_few_pixels_is_refused_in_a_line(shape: tuple[int, int]) -> None:
     picture = np.random.default_rng(0).uniform(size=(*shape, 3)).astype(np.float32)
