@@ -391,6 +391,17 @@ def test_white_pith_stays_white_beside_flesh_and_rind_of_another_colour() -> Non
     assert np.abs(made - [0.98, 0.92, 0.87]).max() < 0.1
 
 
+def test_pale_strands_stay_grey_where_pith_is_far_darker() -> None:
+    """As in a backlit slice, whose pith is brown. Each channel found its own way to white: they became cyan."""
+    x, y = disc_grid()
+    rind = (np.hypot(x, y) > 0.85)[..., None]
+    strand = (np.abs(x) < 0.03) & (np.abs(y - 0.5) < 0.2)
+    lit = np.where(strand[..., None], [0.9, 0.95, 0.9], np.where(rind, [0.95, 0.9, 0.65], [0.98, 0.6, 0.1]))
+    backlit = np.where(rind, [0.55, 0.42, 0.35], [0.98, 0.5, 0.1])
+    made = match_light(Disc(lit.astype(np.float32)), Disc(backlit.astype(np.float32))).rgb
+    assert np.ptp(made[strand], axis=-1).max() < 0.1
+
+
 def test_closed_things_are_as_many_as_the_pictures_show() -> None:
     def seeded(seed: int) -> Disc:
         x, y = disc_grid()

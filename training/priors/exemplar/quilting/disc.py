@@ -263,8 +263,9 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
     their rings are pairs of colours, and each colour is moved like the rings that resemble it: a white core stays white
     beside flesh that is yellow in one light and orange in the other. In the rind the depth decides as well. Rings are
     compared beside the middle alone: above and below it a radial picture shows the core as far out as its poles.
-    A colour unlike all of them is moved along the tone curve through black, theirs and white in each channel: black
-    seeds do not turn blue in whiter light, nor white pith violet beside flesh of another colour.
+    A colour unlike all of them is moved the less, the nearer it is to black in each channel, and to white in all
+    together: black seeds do not turn blue in whiter light, nor white pith violet beside flesh of another colour, nor
+    pale strands beside pith of another colour cyan.
 
     `chambers`: where both have grains (P, P), if they have any. These are one more pair, wherever they lie.
     """
@@ -299,7 +300,8 @@ def match_light(disc: Disc, to: Disc, chambers: Sequence[NDArray[np.bool_]] = ()
         weights = np.exp((least - unlike) / 2) * area
         like, there = (np.tensordot(weights, m, (0, 0)) / weights.sum(0)[..., None] for m in (colours, wanted))
         rgb, like = disc.rgb[rows], np.clip(like, FAINTEST, 1 - FAINTEST)
-        on_curve = np.minimum(np.minimum(rgb / like, (1 - rgb) / (1 - like)), 1)
+        to_white = (lengths(1 - rgb) / lengths(1 - like))[..., None]
+        on_curve = np.minimum(np.minimum(rgb / like, to_white), 1)
         alike = np.exp(-least / 2)[..., None]
         return rgb + (there - like) * (alike + (1 - alike) * on_curve)
 
