@@ -178,7 +178,8 @@ def overlapping(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
 
 
 def among_others(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
-    """Between six copies of it, turned and of other light and ripeness, that nearly touch it and reach the border."""
+    """Between eight smaller copies of it, turned and of other light and ripeness, that nearly touch it and cover all
+    corners of the picture."""
     around = border_colour(rgb)
     rgb, mask = tight(rgb, mask)
     size = max(mask.shape)
@@ -186,11 +187,11 @@ def among_others(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
     rgb, truth = np.pad(rgb, (*margins, (0, 0))), np.pad(mask, margins)
     shown = np.broadcast_to(around, rgb.shape).astype(np.float32)
     middle = np.array(truth.shape[::-1]) / 2
-    for n in range(6):
-        turn = cv2.getRotationMatrix2D(middle.tolist(), 50 * n, 1)
-        turn[:, 2] += 1.03 * size * np.array([np.cos(n * np.pi / 3), np.sin(n * np.pi / 3)])
+    for n in range(8):
+        turn = cv2.getRotationMatrix2D(middle.tolist(), 50 * n, 0.62)
+        turn[:, 2] += 0.84 * size * np.array([np.cos(n * np.pi / 4), np.sin(n * np.pi / 4)])
         face, there = (cv2.warpAffine(a, turn, truth.shape[::-1]) for a in (rgb, truth.astype(np.float32)))
-        shown = laid(shown, lit((1, 1 - 0.08 * n, 1 - 0.04 * n))(face, truth)[0], there > 0.5)
+        shown = laid(shown, lit((1, 1 - 0.06 * n, 1 - 0.03 * n))(face, truth)[0], there > 0.5)
     return laid(shown, rgb, truth), truth
 
 

@@ -30,12 +30,7 @@ from training.priors.exemplar.quilting.chunks import (
     Sectors,
     Slabs,
 )
-from training.priors.exemplar.quilting.disc import (
-    ALIKE,
-    PIXEL,
-    Disc,
-    match_light,
-)
+from training.priors.exemplar.quilting.disc import ALIKE, PIXEL, Disc, match_light
 from training.priors.exemplar.quilting.films import Beside, half_film
 from training.priors.exemplar.quilting.labels import Label, Source, blended_tones, depths_of, distance_across, grains_of
 from training.priors.exemplar.quilting.relief import BLEND
@@ -46,7 +41,7 @@ from training.priors.exemplar.quilting.things.candidates import CANDIDATES, Cand
 from training.priors.exemplar.quilting.things.chambers import Chambers, room_beside
 from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import Core
-from training.priors.exemplar.quilting.things.cores import Cores, find_cores
+from training.priors.exemplar.quilting.things.cores import Cores, find_cores, in_one_tone
 from training.priors.exemplar.quilting.things.packing import CLEAR, Packing, pack
 from training.priors.exemplar.quilting.things.tessellation import TIMES, Tessellation, off_plane
 from training.priors.exemplar.sampling import lengths, read_trilinear, smoothstep
@@ -307,6 +302,7 @@ def _with_cores(across: list[Source], along: list[Source], height: float) -> tup
     if across and not any(len(source.grains.radii) for source in [*across, *along]):
         of_across, of_along = find_cores(across, along, height)
         cores = [*of_across, *of_along]
+        along = [in_one_tone(s, core, across[0], of_across[0]) for s, core in zip(along, of_along, strict=True)]
     both = list(zip([*across, *along], cores, strict=True))
     known = side_by_side(lambda one: one[0].with_core(one[1]), both)
     return known[: len(across)], known[len(across) :]

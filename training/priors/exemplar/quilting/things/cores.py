@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from training.priors.exemplar.quilting.things.column import Column
 from training.priors.exemplar.quilting.things.core import COMPACT, MARGIN, NEAR, Core, Profile, find_shape, seen_along
 from training.priors.exemplar.quilting.things.widths import MOST, widths_along
 
-__all__ = ["Cores", "find_core", "find_cores", "show_chambers", "show_core_that_ends"]
+__all__ = ["Cores", "find_core", "find_cores", "in_one_tone", "show_chambers", "show_core_that_ends"]
 
 ALONE = 0.015
 """Distance in radii from a picture's own plane within which other pictures' cores fade: the plane shows its picture."""
@@ -133,6 +133,16 @@ def find_cores(
     if isinstance(first, Column):
         return cores, [first.along(source.bare.even, source.rind) for source in along]  # its seeds are laid apart
     return cores, [Core.along(face, first, height) for face in _evened_beside(faces, first.reach)]
+
+
+def in_one_tone(source: Source, core: Core | Column, first: Source, its: Core | Column) -> Source:
+    """A radial picture whose core, in one piece, has the usual colour of the first horizontal picture's: rings around
+    the axis do not tell the light, and its plane was a dark line through a white hollow."""
+    if not (isinstance(its, Column) or its.profile) or not core.shape.any():
+        return source
+    usual, own = (np.median(s.disc.rgb[c.shape], axis=0) for s, c in ((first, its), (source, core)))
+    cover = _passed(core.depth_at(*(at.ravel() for at in disc_grid()))).reshape(core.shape.shape)[..., None]
+    return replace(source, disc=Disc(np.clip(source.disc.rgb + cover * (usual - own), 0, 1).astype(np.float32)))
 
 
 def find_core(disc: Disc, rind: float, along: Sequence[Disc], rind_along: float, height: float) -> Core | Column:
