@@ -150,6 +150,25 @@ def test_the_plane_of_a_horizontal_picture_is_no_bar_across_a_column() -> None:
     assert np.abs(np.diff(blue)).max() < 0.15 * np.ptp(blue)  # in a bar, 0.3 from one hundredth to the next
 
 
+def test_no_line_crosses_a_white_hollow_where_a_radial_picture_shows_it_filled() -> None:
+    """Its plane shows what its own core has, in the tone of the other's: a knife meets it in every cut."""
+    x, y = disc_grid()
+    hollow, filled = np.hypot(x, y) < 0.16, (np.abs(x) < 0.14) & (np.abs(y) < 0.7)
+    filling = 0.1 * np.sin(40 * y)[..., None] + [0.55, 0.3, 0.3]
+    across = Disc(np.where(hollow[..., None], 1.0, face(hollow).rgb).astype(np.float32))
+    along = Disc(np.where(filled[..., None], filling, face(filled).rgb).astype(np.float32))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        made = make_quilt([across], [along], 0, lambda part: None)
+    through = np.linspace(-0.08, 0.08, 161, dtype=np.float32)
+    for height in (-0.3, 0.2, 0.4):
+        shown = made.read(np.stack([np.full_like(through, 0.03), through, np.full_like(through, height)], -1))
+        assert shown.mean(1).min() > 0.85
+    level = np.linspace(-0.5, 0.5, 400, dtype=np.float32)
+    own = made.read(np.stack([0 * level, 0 * level, level], -1)).mean(1)
+    assert np.corrcoef(own, np.minimum(0.1 * np.sin(40 * level), 0))[0, 1] > 0.9
+
+
 def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() -> None:
     x, y = disc_grid()
     for dark in (np.abs(y) < 0.04, np.hypot(x - 0.4, y) < 0.08, np.zeros(x.shape, bool)):
