@@ -190,7 +190,8 @@ def among_others(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
     for n in range(8):
         turn = cv2.getRotationMatrix2D(middle.tolist(), 50 * n, 0.62)
         turn[:, 2] += 0.84 * size * np.array([np.cos(n * np.pi / 4), np.sin(n * np.pi / 4)])
-        face, there = (cv2.warpAffine(a, turn, truth.shape[::-1]) for a in (rgb, truth.astype(np.float32)))
+        both = (cv2.warpAffine(a, turn, truth.shape[::-1]) for a in (rgb, truth.astype(np.float32)))
+        face, there = (np.asarray(a, np.float32) for a in both)
         shown = laid(shown, lit((1, 1 - 0.06 * n, 1 - 0.03 * n))(face, truth)[0], there > 0.5)
     return laid(shown, rgb, truth), truth
 
