@@ -38,7 +38,7 @@ from training.faces.edges import (
 from training.faces.shadow import SECTORS, SHADE, light_around
 from training.faces.side import without_side
 
-__all__ = ["MIN_CENTRAL", "CutOffError", "find_central", "find_mask", "is_dimmed_around"]
+__all__ = ["MIN_CENTRAL", "CutOffError", "find_central", "find_mask", "is_dimmed_around", "solidity"]
 
 MIN_SHARE = 0.02
 """Least fraction of the picture that a cut face covers; anything smaller is a crumb on an empty table."""
@@ -161,9 +161,9 @@ def find_mask(
     across = max(np.ptp(places) + 1 for places in np.nonzero(mask))
     allowed = max(MAX_BORDER_SHARE * across, (4 * UNSURE * across) ** 0.5)
     crosses = max(_along_border(reaching, background.corners), second) > allowed
-    if _solidity(mask) < MIN_SOLIDITY or (crosses and find_oval(mask, 1) is None):
+    if solidity(mask) < MIN_SOLIDITY or (crosses and find_oval(mask, 1) is None):
         raise cut_off
-    if mask.sum() < MIN_KEPT * guess.sum() / _solidity(guess):
+    if mask.sum() < MIN_KEPT * guess.sum() / solidity(guess):
         raise cut_off
     return mask
 
@@ -188,7 +188,7 @@ def find_central(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
 
     masks = side_by_side(search, STARTS)
     found = [mask for mask in masks if mask.mean() >= MIN_CENTRAL and not (mask & ~inner).any()]
-    found = [mask for mask in found if _solidity(mask) >= MIN_SOLIDITY]
+    found = [mask for mask in found if solidity(mask) >= MIN_SOLIDITY]
     agreed = [one for one in found if sum((one & o).sum() > AGREED * (one | o).sum() for o in found) > 1]
     skins = [skin_share(small, one) for one in agreed]
     if max(skins, default=0) < BARE:
@@ -196,7 +196,7 @@ def find_central(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     # Flesh ends at the rind with an edge as strong as the rind's own, but without a skin, unless the rind is so thick
     # that it has a third colour itself; then its outline is the more ragged one, as is that of a face with more.
     skinned = [one for one, skin in zip(agreed, skins, strict=True) if skin > max(skins) - CHANCE]
-    best = max(skinned, key=_solidity)
+    best = max(skinned, key=solidity)
     mask = _trace(rgb, _resized(best, rgb.shape[:2]))
     if mask.mean() < MIN_CENTRAL:
         return None
@@ -226,6 +226,13 @@ def is_dimmed_around(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> bool:
     if around is None or len(around.lights) < SECTORS / 2:
         return False
     return bool(np.percentile(around.lights, LIT_SIDE) < SHADE)
+
+
+def solidity(mask: NDArray[np.bool_]) -> float:
+    """Fraction of its convex hull that a mask (H, W), not empty, fills. Range (0, 1]."""
+    rims = mask & ~ndimage.binary_erosion(mask)
+    corners = np.argwhere(rims)[:, None] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of pixels, so none is flat
+    return float(mask.sum() / ConvexHull(corners.reshape(-1, 2)).volume)
 
 
 def _grab_cut(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -358,13 +365,6 @@ def _depth(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
 def _nearest(rgb: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(H, W, 3). The picture with every pixel that is not `known` replaced by the nearest one that is."""
     return rgb[tuple(nearest(known))]
-
-
-def _solidity(mask: NDArray[np.bool_]) -> float:
-    """Fraction of its convex hull that a mask (H, W), not empty, fills. Range (0, 1]."""
-    rims = mask & ~ndimage.binary_erosion(mask)
-    corners = np.argwhere(rims)[:, None] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of pixels, so none is flat
-    return float(mask.sum() / ConvexHull(corners.reshape(-1, 2)).volume)
 
 
 def _along_sides(found: NDArray[np.bool_]) -> list[int]:

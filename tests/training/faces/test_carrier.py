@@ -247,6 +247,17 @@ def test_nothing_is_found_before_bricks_alone_or_where_the_border_cuts_the_face(
             find_seen_face(photographed(picture), "bricks")
 
 
+@pytest.mark.parametrize("top", [-0.4, -0.1])
+def test_a_strip_of_sea_between_sky_and_sand_is_no_part_of_the_face(top: float) -> None:
+    """Sky and sand are plain and have two corners each; the sea has none, and was two wings of the face."""
+    row = Y[..., None]
+    sky, sea, sand = [0.62, 0.75, 0.9], [0.2, 0.42, 0.62], [0.72, 0.58, 0.35]
+    picture, truth = fruit(np.where(row < top, sky, np.where(row < top + 0.3, sea, sand)))
+    found = find_seen_face(photographed(picture), "sea")
+    assert mask_iou(found.mask, truth) > 0.8  # the thin rind is as dark as the sea
+    assert found.note
+
+
 def slices_around(places: list[float]) -> NDArray:
     """Slices that touch one in the middle, in these directions, on white."""
     rng, picture = np.random.default_rng(3), np.full((SIZE, SIZE, 3), 0.97)
