@@ -189,7 +189,7 @@ def _before_pattern(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     mask &= ndimage.binary_dilation(largest_component(unlike), iterations=2)
     radius = HANGING * np.sqrt(4 / np.pi * mask.sum())
     deep = depth_in(mask) > radius
-    face = largest_component(depth_in(~deep) <= radius)
+    face = largest_component(depth_in(~deep) <= radius) if deep.any() else deep
     if face.mean() < MIN_CENTRAL:
         return None
     # Other faces on all sides are a pattern, too, and what they do not explain is a piece of this one.

@@ -194,7 +194,7 @@ def find_central(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     if max(skins, default=0) < BARE:
         return None
     # Flesh ends at the rind with an edge as strong as the rind's own, but without a skin, unless the rind is so thick
-    # that it has a third colour itself; then its outline is the more ragged one, as is that of a face with more.
+    # that it has a third colour itself. Then its outline is more ragged, as is that of a face with things beside it.
     skinned = [one for one, skin in zip(agreed, skins, strict=True) if skin > max(skins) - CHANCE]
     best = max(skinned, key=solidity)
     mask = _trace(rgb, _resized(best, rgb.shape[:2]))
