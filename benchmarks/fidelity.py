@@ -5,7 +5,8 @@
 
 The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after
 everything that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of
-the PSNR over what both show as opaque, and of the IoU of the silhouettes. Writes fidelity.json, the chart fidelity.png
+the PSNR over what both show as opaque, and of the IoU of the silhouettes; and how much of the front is filled by the
+inside right below it, so that cuts have no gaps at their rim. Writes fidelity.json, the chart fidelity.png
 and, for each capture, fidelity_<capture>.png (the capture, the solid below it, and the solid cut in half with a plain
 inside). Measures the samples if no capture is given.
 """
@@ -30,16 +31,20 @@ from engine.io.files import write_json
 from engine.io.picture_file import save_png
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
+from engine.render.cpu.kernel_field import KernelField
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, cameras_around
-from engine.scene.gaussians import Gaussians
+from engine.scene.constants import SOLID_DENSITY
+from engine.scene.grid import Body
 from engine.scene.image import psnr
 from engine.scene.plane import Plane
 from engine.solid.fill import fill
+from engine.solid.skin_cover import inward_normals, sample_skin
+from engine.solid.visible_skin import front_heights
 from training.events import Reporter
 from training.families import Family
 from training.pipeline import prepare
-from training.request import Request
+from training.request import Geometry, Request
 from training.settings import DETAILS, Detail, DetailName
 from training.skin import match_skin
 from training.views import BACKGROUND
@@ -53,6 +58,9 @@ TURN = 17.0
 
 LEAN = 0.4
 """Tangent of the angle by which a cut face is turned from the camera."""
+
+BELOW = 0.75
+"""Pitches. Depth below the front at which a solid must be filled: interior atoms lie deeper than half of one."""
 
 SHOWN_EVERY = 3
 """One view in this many is shown in the picture."""
@@ -70,16 +78,25 @@ class Tolerant(Request):
         return fineness if self.tolerance is None else replace(fineness, tolerance=self.tolerance)
 
 
-def make_solid(path: Path, detail: DetailName, tolerance: float | None) -> tuple[Gaussians, Atoms, NDArray[np.float64]]:
-    """The capture without haze, the solid with its skin fitted as training does, and the up axis (3,). Raises
-    InputError."""
+def make_solid(path: Path, detail: DetailName, tolerance: float | None) -> tuple[Atoms, Geometry]:
+    """The solid with its skin fitted as training does, and what it was made from. Raises InputError."""
     request = Tolerant(
         path, (Family("horizontal", 4),), detail=detail, tolerance=tolerance
     )  # the inside is not looked at
     geometry, _ = prepare(request, Reporter(), lambda: None)
-    atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
-    capture, up = geometry.gaussians, geometry.up
-    return capture, match_skin(atoms, capture, geometry.body, up, request.fineness, request.seed), up
+    atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed))
+    atoms = match_skin(atoms, geometry.gaussians, geometry.enclosed, geometry.up, request.fineness, request.seed)
+    return atoms, geometry
+
+
+def filled_share(atoms: Atoms, body: Body) -> float:
+    """Share of the front of a body's skin below which, by BELOW, interior atoms fill it. Range [0, 1]."""
+    points = sample_skin(body, atoms.pitch)
+    outwards = -inward_normals(body, points)
+    heights = front_heights(atoms.surface, points, outwards, 2 * BELOW * atoms.pitch)
+    seen = np.isfinite(heights)
+    below = points[seen] + outwards[seen] * (heights[seen] - BELOW * atoms.pitch)[:, None]
+    return float((KernelField(atoms.without_skin()).at(below)[1] >= SOLID_DENSITY).mean())
 
 
 def measure(
@@ -87,7 +104,8 @@ def measure(
 ) -> tuple[dict[str, Any], NDArray[np.float32]]:
     """The figures of one capture, and the picture (H, W, 3) of some views. Raises InputError."""
     begun = time.perf_counter()
-    capture, atoms, up = make_solid(path, detail, tolerance)
+    atoms, geometry = make_solid(path, detail, tolerance)
+    capture, up = geometry.gaussians, geometry.up
     seconds = time.perf_counter() - begun
     low, high = capture.visible_bounds()
     radius = float(np.linalg.norm(high - low)) / 2
@@ -109,6 +127,7 @@ def measure(
         "union_db": round(union_db, 2),
         "opaque_db": round(opaque_db, 2),
         "silhouette_iou": round(iou, 4),
+        "filled": round(filled_share(atoms, geometry.body), 4),
         "seconds": round(seconds, 1),
     }
     return figures, np.concatenate(columns, axis=1)

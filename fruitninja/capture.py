@@ -101,7 +101,7 @@ class Capture:
         if axis is None:  # detected before isolation: even a floor that is left out shows which way is up
             x, y, z = detect_up(without_surroundings(self.gaussians), self.scene.file_axes).axis.tolist()
             axis = x, y, z
-        atoms = solidify(enclosure, fineness.cells, fineness.tolerance, seed)
+        atoms, _ = solidify(enclosure, fineness.cells, fineness.tolerance, seed)
         meta = Meta(
             axis,
             seed=seed,

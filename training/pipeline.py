@@ -30,6 +30,7 @@ from engine.scene.inside import Inside
 from engine.solid.fill import Colours, fill
 from engine.solid.solidify import atomise_surface, find_enclosure
 from engine.solid.up_axis.detect import UpAxis, detect_up
+from engine.solid.visible_skin import out_to_front
 from training.checkpoint import Checkpoint
 from training.events import Reporter, Stage
 from training.labels import (
@@ -139,7 +140,7 @@ class Pipeline:
 
     def fill_interior(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
         """Interior atoms in these colours, on lattices no finer than `pitch` (world units)."""
-        return fill(geometry.body, pitch, self.request.seed, geometry.skin, colours)
+        return fill(geometry.body, pitch, self.request.seed, colours)
 
     def draw_label(self, prior: Denoiser, cut: Slice, rng: np.random.Generator) -> NDArray[np.float32]:
         """(H, W, 3). The first label of one plane, by score distillation from even grey (paper, section 3.2)."""
@@ -198,9 +199,9 @@ class Pipeline:
                     f"{name}: the pictures are good for an inside {made['cells']} atoms across, not {fineness.fine}; "
                     "larger or sharper ones would make it finer"
                 )
-        interior = InteriorAtoms(arrays["means"], arrays["sigmas"], arrays["rgb"], made["exposed"])
+        interior = InteriorAtoms(arrays["means"], arrays["sigmas"], arrays["rgb"])
         kinds = [cut.family.kind for cut in cuts]
-        self.facts |= {"interior_atoms": len(interior), "exposed_atoms": interior.exposed, "cells": made["cells"]}
+        self.facts |= {"interior_atoms": len(interior), "cells": made["cells"]}
         self.facts["views"] = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
         return (
             self.labelled(cuts),
@@ -218,7 +219,7 @@ class Pipeline:
         """Labels and interior atoms as arrays for the checkpoint, and facts about them.
 
         `notes` are what the user should check in the pictures; `cells` is the number of the finest atoms along the
-        body's longest side, fewer than requested if the prior resolves less; `exposed` is `InteriorAtoms.exposed`.
+        body's longest side, fewer than requested if the prior resolves less.
         """
         request, progress = self.request, self.track_progress(stage, 0.0, 1.0)
         cells: float = request.fineness.fine
@@ -233,7 +234,7 @@ class Pipeline:
         interior = self.fill_interior(geometry, geometry.pitch * request.fineness.cells / cells, colours)
         rgb = deblur(geometry.filled(interior), interior.rgb)
         arrays = {"labels": np.stack(labels), "means": interior.means, "sigmas": interior.sigmas, "rgb": rgb}
-        made = {"exposed": interior.exposed, "cells": round(cells), "notes": notes}
+        made = {"cells": round(cells), "notes": notes}
         if self.inside is None:
             return arrays, made
         record, facts = self.inside.record()
@@ -249,7 +250,7 @@ class Pipeline:
             labels.append(self.draw_label(prior, cut, np.random.default_rng([self.request.seed, index])))
             progress((index + 1) / len(cuts))
         # A plain fill at the skin's pitch: without colours nothing says yet where finer atoms are needed.
-        interior = fill(geometry.body, geometry.pitch, self.request.seed, geometry.skin)
+        interior = fill(geometry.body, geometry.pitch, self.request.seed)
         atoms = geometry.filled(interior)
         rgb, covered = back_project(atoms, sections(atoms, cuts, lambda _: None), labels)
         return labels, nearest_atom_colours(interior.means, self.smooth_interior(interior, rgb, covered))
@@ -300,17 +301,18 @@ def prepare(
     raise_if_stopped()
     with reporter.stage("atomise"):
         skin, pitch = atomise_surface(enclosure, request.fineness.cells, request.fineness.tolerance)
+        body = out_to_front(enclosure.body, skin.atoms, pitch)
     facts = {
         "gaussians": len(gaussians),
         "gaussians_left_out": len(loaded.gaussians) - len(gaussians),
         "gaussians_dropped": len(gaussians) - len(enclosure.shell) + skin.dropped,
         "gaussians_split": skin.split,
         "surface_atoms": len(skin.atoms),
-        "volume": enclosure.body.volume,
+        "volume": body.volume,
         "pitch": pitch,
         "up": up.axis.tolist(),
     }
-    return Geometry(enclosure.shell, skin.atoms, pitch, enclosure.body, up.axis), facts
+    return Geometry(enclosure.shell, skin.atoms, pitch, enclosure.body, body, up.axis), facts
 
 
 def find_up(request: Request, seen: Gaussians, file_axes: FileAxes) -> UpAxis:

@@ -45,7 +45,7 @@ __all__ = [
 
 PriorName = Literal["exemplar", "stable-diffusion"]
 
-FORMAT = 7
+FORMAT = 8
 """Version of the checkpoints, raised with every change to them so that no run resumes from one of another version."""
 
 FILE_VERSION = 5
@@ -257,7 +257,10 @@ class Geometry:
     """Surface atoms in the capture's own colours."""
     pitch: float
     """Pitch of the skin, world units."""
+    enclosed: Body
+    """What the walls of the capture enclose: the skin is fitted above its core."""
     body: Body
+    """The same, out to the front that the skin's atoms show: what is filled."""
     up: NDArray[np.float64]
     """(3,). Unit vector."""
 

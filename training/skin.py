@@ -55,7 +55,7 @@ def fit_geometry(
         fit = SkinFit(
             atoms,
             gaussians,
-            geometry.body,
+            geometry.enclosed,
             cameras,
             detail.skin_steps,
             request.seed,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,7 +44,6 @@ class LiveColours:
             return None
         self._seen = tuple(written)
         tensors: dict[str, NDArray[np.float32]] = {}
-        exposed = atoms.interior.exposed
         for stage, _ in written:
             with (
                 contextlib.suppress(SafetensorError, OSError, ValueError, TypeError, RecursionError),
@@ -53,8 +51,6 @@ class LiveColours:
             ):
                 names = {"means", "sigmas", "rgb", "sh"} & set(file.keys())
                 tensors |= {name: file.get_tensor(name) for name in names}
-                facts = json.loads((file.metadata() or {}).get("facts", "{}"))
-                exposed = facts["exposed"] if isinstance(facts, dict) and "exposed" in facts else exposed
         surface, interior = atoms.surface, atoms.interior
         means, sigmas = tensors.get("means", interior.means), tensors.get("sigmas", interior.sigmas)
         rgb, sh = tensors.get("rgb", interior.rgb), tensors.get("sh", surface.sh)
@@ -62,8 +58,8 @@ class LiveColours:
         finite = all(values.dtype == np.float32 and np.isfinite(values).all() for values in (means, sigmas, rgb, sh))
         fits = sigmas.ndim == 1 and rgb.shape == means.shape == (len(sigmas), 3) and bool((sigmas > 0).all())
         fits = fits and sh.shape in {(len(surface), (degree + 1) ** 2, 3) for degree in range(4)}
-        if not (tensors and finite and fits and type(exposed) is int and 0 <= exposed <= len(means)):
+        if not (tensors and finite and fits):
             return None
         if not np.array_equal(means, interior.means):
-            interior = InteriorAtoms(means, sigmas, rgb, exposed)
+            interior = InteriorAtoms(means, sigmas, rgb)
         return Atoms(replace(surface, sh=sh), replace(interior, rgb=rgb.clip(0, 1)), atoms.pitch)

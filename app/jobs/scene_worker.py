@@ -119,8 +119,8 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
     facts = {"notes": list(enclosure.notes), "trained": False}
 
     def make_solid(detail: Detail) -> Atoms:
-        atoms = solidify(enclosure, detail.cells, detail.tolerance, seed)
-        plain = plain_inside(atoms.surface, atoms.interior, enclosure.body, atoms.pitch)
+        atoms, body = solidify(enclosure, detail.cells, detail.tolerance, seed)
+        plain = plain_inside(atoms.surface, atoms.interior, body, atoms.pitch)
         atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
         _send_atoms(folder, atoms, facts)
         return atoms

@@ -13,6 +13,7 @@ from engine.scene.constants import SOLID_DENSITY
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
 from engine.solid.signed_distance import signed_depth
+from engine.solid.visible_skin import out_to_front
 
 __all__ = ["body_of", "skin_outside"]
 
@@ -61,7 +62,7 @@ def body_of(atoms: Atoms, name: str) -> Body:
     shell = Gaussians(
         surface.means, surface.scales, surface.quats, np.ones(len(surface), np.float32), surface.sh[:, :1]
     )
-    body = Body(grid, signed_depth(inside, shell, grid))
+    body = out_to_front(Body(grid, signed_depth(inside, shell, grid)), surface, atoms.pitch)
     return _filled_by(body, float(((2 * interior.sigmas.astype(np.float64)) ** 3).sum()), MOST_SHIFT * atoms.pitch)
 
 

@@ -1,7 +1,7 @@
 """Finds the plane that the object of a capture stands on or leans against: a table, a mat, a wall.
 
-`engine.solid.support_plane` finds it as evidence of which way is up, from points and not from Gaussians: the plane here
-is to cut the floor off, so it is where the floor ends.
+`engine.solid.up_axis.support_plane` finds it as evidence of which way is up, from points and not from Gaussians: the
+plane here is to cut the floor off, so it is where the floor ends.
 """
 
 from __future__ import annotations

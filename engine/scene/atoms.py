@@ -54,8 +54,8 @@ class SurfaceAtoms:
 class InteriorAtoms:
     """I spheres inside the body, float32. The first `exposed` of them lie behind holes of the shell.
 
-    Exposed atoms are visible from outside (through an open bottom, say), so the outside view draws them with the
-    surface atoms; all others appear on cut faces only.
+    The outside view draws these with the surface atoms; all others appear on cut faces only. Objects that are made now
+    have none, because their skin is closed; older files may have some.
     """
 
     means: Float

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.scene.atoms import InteriorAtoms, SurfaceAtoms
+from engine.scene.atoms import InteriorAtoms
 from engine.scene.grid import Body
 from engine.solid.octree import COARSEST, leaf_levels
-from engine.solid.skin_cover import COVERED, coverage_at, inward_normals, project_onto_skin
+from engine.solid.skin_cover import inward_normals
 from engine.threads import side_by_side
 
 Float = NDArray[np.float32]
@@ -28,15 +28,13 @@ Colours = Callable[[NDArray[np.floating]], Float]
 """Colours (N, 3) at world points (N, 3), also slightly outside the body."""
 
 
-def fill(
-    body: Body, pitch: float, seed: int = 0, surface: SurfaceAtoms | None = None, colours: Colours | None = None
-) -> InteriorAtoms:
+def fill(body: Body, pitch: float, seed: int = 0, colours: Colours | None = None) -> InteriorAtoms:
     """Spheres on a cubic lattice, one for each cell whose centre lies inside the body; sigma is half the spacing.
 
     Without `colours` all are grey and of one size: count times pitch^3 is the body's volume, and the mean sum of the
     weights is LATTICE_DENSITY. With `colours` the spheres take these, and one sphere replaces 2^3, 4^3 or 8^3 cells of
     even colour (engine.solid.octree), which leaves the sum of the weights unchanged. Atoms near the skin are pushed
-    below it. Atoms below a hole of `surface` come first and are counted as exposed; without `surface` none are.
+    below it.
     """
     assert pitch > 0, pitch
     low, high = body.bounds()
@@ -65,16 +63,8 @@ def fill(
         sigmas.append(np.full(len(centres), size * pitch / 2, np.float32))
     points, sigma = np.concatenate(means), np.concatenate(sigmas)
     points = _push_under(body, points, UNDER_SKIN * sigma)
-    exposed = 0
-    if surface is not None and len(points):
-        is_exposed = _exposed(body, points, sigma, pitch, surface)
-        points, sigma = (
-            np.concatenate([points[is_exposed], points[~is_exposed]]),
-            np.concatenate([sigma[is_exposed], sigma[~is_exposed]]),
-        )
-        exposed = int(is_exposed.sum())
     colour = np.full(points.shape, 0.5, np.float32) if colours is None else colours(points).astype(np.float32)
-    return InteriorAtoms(points.astype(np.float32), sigma, colour, exposed)
+    return InteriorAtoms(points.astype(np.float32), sigma, colour)
 
 
 def _push_under(body: Body, points: NDArray[np.float64], depth: Float) -> NDArray[np.float64]:
@@ -87,15 +77,3 @@ def _push_under(body: Body, points: NDArray[np.float64], depth: Float) -> NDArra
         missing = depth[short] - body.at(points[short])
         points[short] += inward_normals(body, points[short]) * missing[:, None]
     return points
-
-
-def _exposed(
-    body: Body, means: NDArray[np.float64], sigmas: Float, pitch: float, surface: SurfaceAtoms
-) -> NDArray[np.bool_]:
-    """(N,). Whether each atom lies in the outermost layer where the surface atoms leave the skin uncovered."""
-    exposed = np.zeros(len(means), bool)
-    depth = body.at(means)
-    outer = np.flatnonzero(depth < 2 * sigmas)
-    skin = project_onto_skin(body, means[outer])
-    exposed[outer] = coverage_at(surface, skin, -inward_normals(body, skin), pitch) < COVERED
-    return exposed

@@ -16,7 +16,7 @@ from engine.solid.distance_transform import nearest
 from engine.solid.opacity_field import moments
 from engine.threads import for_spans
 
-__all__ = ["signed_depth"]
+__all__ = ["redistance", "signed_depth"]
 
 Float = NDArray[np.float32]
 
@@ -57,7 +57,7 @@ def signed_depth(
     # Tangent planes extend beyond corners: they may shift the skin, but not create another one.
     planes = np.clip(planes, coarse - SHIFT, coarse + SHIFT)
     level = np.where(np.abs(coarse) <= BAND + 1, confidence * planes + (1 - confidence) * coarse, coarse)
-    return _redistance(level.astype(np.float32)) * np.float32(grid.cell)
+    return redistance(level.astype(np.float32)) * np.float32(grid.cell)
 
 
 def _coarse_distance(inside: NDArray[np.bool_]) -> Float:
@@ -99,7 +99,7 @@ def _oriented_surface(inside: NDArray[np.bool_], gaussians: Gaussians, grid: Gri
     return Gaussians(skin.means, skin.scales, skin.quats, opacities, skin.sh), normals
 
 
-def _redistance(level: Float) -> Float:
+def redistance(level: Float) -> Float:
     """(X, Y, Z). The distance in cells to the zero surface of `level`, with its sign (level set redistancing)."""
     inside = level > 0
     if inside.all() or not inside.any():

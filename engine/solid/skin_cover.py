@@ -14,7 +14,7 @@ from engine.scene.grid import Body
 from engine.scene.rotations import facing, rotation_matrices
 from engine.threads import cores, for_each
 
-__all__ = ["COVERED", "close_holes", "coverage_at", "inward_normals", "project_onto_skin", "sample_skin"]
+__all__ = ["close_holes", "coverage_at", "inward_normals", "project_onto_skin", "sample_skin"]
 
 Float = NDArray[np.float32]
 
@@ -43,12 +43,9 @@ PATCH_SIGMA = 0.5
 PATCH_THICKNESS = 0.2
 """Pitches. Sigma across the skin: patches are flat like it."""
 
-COVERED = 0.5
-"""Sum of weights from which a point of the skin counts as covered, as in a pixel of the opaque image."""
-
 CLOSED = 0.6
-"""Sum of weights below which a point of the skin gets a patch: more than COVERED, so that no point between two tested
-ones falls below that."""
+"""Sum of weights below which a point of the skin gets a patch: more than the half from which a pixel of the opaque
+image is covered, so that no point between two tested ones falls below that."""
 
 COLOURED_BY = 8
 """Nearest atoms that colour a patch: those around the hole."""

@@ -11,9 +11,11 @@ from dataclasses import replace
 from engine.scene.atoms import Atoms
 from engine.scene.gather import gathered
 from engine.scene.gaussians import Gaussians
+from engine.scene.grid import Body
 from engine.solid.atomise import Atomised, atomise
 from engine.solid.fill import fill
 from engine.solid.find_body import Enclosure, find_body
+from engine.solid.visible_skin import out_to_front
 
 __all__ = ["atomise_surface", "find_enclosure", "solidify"]
 
@@ -47,7 +49,9 @@ def atomise_surface(enclosure: Enclosure, cells: int, tolerance: float) -> tuple
     return atomise(enclosure, pitch, tolerance), pitch
 
 
-def solidify(enclosure: Enclosure, cells: int, tolerance: float, seed: int) -> Atoms:
-    """The body's surface atoms and an even grey interior. Bit-equal for the same input."""
+def solidify(enclosure: Enclosure, cells: int, tolerance: float, seed: int) -> tuple[Atoms, Body]:
+    """The body's surface atoms with an even grey interior, and the body that it fills: out to the front that the atoms
+    show. Bit-equal for the same input."""
     surface, pitch = atomise_surface(enclosure, cells, tolerance)
-    return Atoms(surface.atoms, fill(enclosure.body, pitch, seed, surface.atoms), pitch)
+    body = out_to_front(enclosure.body, surface.atoms, pitch)
+    return Atoms(surface.atoms, fill(body, pitch, seed), pitch), body

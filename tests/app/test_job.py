@@ -174,9 +174,9 @@ def test_the_window_takes_on_what_a_training_has_reached(tmp_path: Path) -> None
     assert colours.newer(solid) is not None
     # An inside that the trainer made itself, then colours for it.
     means, sigmas = np.array([[0, 0, 0], [1, 2, 3]], np.float32), np.array([0.1, 0.2], np.float32)
-    reached("labels", {"exposed": 1}, means=means, sigmas=sigmas, rgb=red[:2])
+    reached("labels", {}, means=means, sigmas=sigmas, rgb=red[:2])
     seen = colours.newer(solid)
-    assert seen is not None and len(seen.interior) == 2 and seen.interior.exposed == 1
+    assert seen is not None and len(seen.interior) == 2
     reached("training", {}, rgb=red[:2] / 4, sh=np.zeros((300, 4, 3), np.float32))
     again = colours.newer(seen)
     assert again is not None and again.interior.means is seen.interior.means and again.surface.sh_degree == 1

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from engine.scene.gaussians import Gaussians
-from engine.solid.support_plane import support_plane
 from engine.solid.up_axis.evidence import DIRECTIONS, flat_base, near_directions, resting_pose, symmetry, touching
+from engine.solid.up_axis.support_plane import support_plane
 
 __all__ = ["UpAxis", "detect_up"]
 

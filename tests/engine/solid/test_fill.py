@@ -15,7 +15,6 @@ from scipy.spatial.distance import cdist
 
 from engine.errors import InputError
 from engine.io.load import load
-from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
 from engine.scene.rotations import rotation_matrices
@@ -300,17 +299,3 @@ def test_points_are_projected_onto_the_skin() -> None:
     for steep in (0.5, 1.0, 1.5):  # the depth need not be a true distance near the skin
         points = project_onto_skin(Body(body.grid, body.depth * np.float32(steep)), 0.95 * ball.means)
         assert np.abs(np.linalg.norm(points, axis=1) - 1).max() < 0.1 * body.grid.cell, steep
-
-
-def test_atoms_in_an_open_bottom_come_first() -> None:
-    scene = sphere(hole=45)
-    body = find_body(scene, cells=64).body
-    atoms = fill(body, 1 / 12, surface=SurfaceAtoms(scene.means, scene.scales, scene.quats, scene.sh))
-    lid, radius = -np.cos(np.radians(45)), np.hypot(*atoms.means[:, :2].T)
-    outermost = (body.at(atoms.means) < 1 / 12) & (atoms.means[:, 2] < lid + 2 / 12)
-    exposed = np.arange(len(atoms)) < atoms.exposed
-    assert (outermost & (radius < 0.6)).sum() > 0.5 * np.pi * 0.6**2 * 144
-    assert exposed[outermost & (radius < 0.6)].all()
-    assert not exposed[~outermost].any()
-    assert radius[exposed].max() < np.sin(np.radians(45)) + 1 / 24
-    assert fill(body, 1 / 12).exposed == 0

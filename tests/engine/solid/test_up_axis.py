@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from engine.io.load import load
 from engine.io.splats.ply import write_ply
-from engine.solid.support_plane import support_plane
 from engine.solid.up_axis.detect import detect_up
 from engine.solid.up_axis.evidence import DIRECTIONS, flat_base, resting_pose, symmetry
+from engine.solid.up_axis.support_plane import support_plane
 from tests.helpers.solids import round_gaussians
 from tests.paths import SHARED
 

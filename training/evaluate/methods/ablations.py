@@ -69,7 +69,7 @@ class UniformFill(Pipeline):
 
     def fill_interior(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
         """One atom for every cell of the finest lattice."""
-        interior = fill(geometry.body, pitch, self.request.seed, geometry.skin)
+        interior = fill(geometry.body, pitch, self.request.seed)
         return replace(interior, rgb=colours(interior.means).astype(np.float32))
 
 

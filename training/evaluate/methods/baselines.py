@@ -43,8 +43,8 @@ Float = NDArray[np.float32]
 def prepare_unpainted(request: CustomRequest, out: Path) -> tuple[Geometry, Atoms, dict[str, Any]]:
     """The filled solid with a fitted skin but an untrained interior."""
     geometry, _ = prepare(request, Reporter(), lambda: None)
-    atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
-    atoms = match_skin(atoms, geometry.gaussians, geometry.body, geometry.up, request.fineness, request.seed)
+    atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed))
+    atoms = match_skin(atoms, geometry.gaussians, geometry.enclosed, geometry.up, request.fineness, request.seed)
     return geometry, atoms, {"surface_psnr_db": surface_psnr(geometry, atoms), "iterations": 0, "refinement_rounds": 0}
 
 
@@ -53,7 +53,7 @@ def nearest_surface(geometry: Geometry, surface: SurfaceAtoms, request: CustomRe
     rgb = np.clip(sh.sh_to_rgb(surface.sh[:, 0]), 0, 1).astype(np.float32)
     tree = cKDTree(surface.means)
     finest = geometry.pitch * request.numbers.cells / request.numbers.fine
-    interior = fill(geometry.body, finest, request.seed, surface, lambda points: rgb[tree.query(points)[1]])
+    interior = fill(geometry.body, finest, request.seed, lambda points: rgb[tree.query(points)[1]])
     return Atoms(surface, interior, geometry.pitch)
 
 
