@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import KDTree
 
 from engine.scene.atoms import SurfaceAtoms
@@ -47,8 +48,9 @@ def out_to_front(body: Body, surface: SurfaceAtoms, pitch: float) -> Body:
 
     The skin of a capture has several layers, and thick Gaussians: the mean of their tangent planes, where the body
     ends, lies below what is seen. In a cut that would be a gap, or a stain in the colours of the layers within. Where
-    nothing is seen within REACH, the skin stays.
+    nothing is seen within REACH, the skin stays, and no part of the body is lost.
     """
+    enclosed = body
     for _ in range(STEPS):
         points = sample_skin(body, pitch / np.sqrt(2))
         if not len(points) or not len(surface):
@@ -57,7 +59,17 @@ def out_to_front(body: Body, surface: SurfaceAtoms, pitch: float) -> Body:
         if np.abs(heights).mean() <= STILL * pitch:
             return body
         body = _moved(body, points, heights, pitch)
-    return body
+    return _joined(enclosed, body.depth)
+
+
+def _joined(body: Body, depth: NDArray[np.float32]) -> Body:
+    """The body and what another depth (X, Y, Z) adds to it, without what does not touch it: thin parts do not crumble,
+    and nothing hangs in the air."""
+    level = np.maximum(body.depth, depth)
+    regions, _ = ndimage.label(level > 0)
+    touching = np.zeros(regions.max() + 1, bool)
+    touching[regions[body.inside]] = True
+    return Body(body.grid, np.where(touching[regions] | (level <= 0), level, -level))
 
 
 def front_heights(
