@@ -212,7 +212,8 @@ class _Column:
                 self.file.seek(self.start + row * self.stride)
                 found.append(self.file.read(size))
             cells = np.frombuffer(b"".join(found), np.uint8).reshape(len(part), size)
-        values = np.ascontiguousarray(cells).view(self.dtype).astype(np.float64) / self.scale
+        with np.errstate(invalid="ignore"):  # of a signalling nan, which files may hold too
+            values = np.ascontiguousarray(cells).view(self.dtype).astype(np.float64) / self.scale
         return np.maximum(values, -1) if self.scale > 1 else values  # -128 and -127 both mean -1
 
 

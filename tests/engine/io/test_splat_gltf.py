@@ -140,6 +140,13 @@ def test_integers_are_read_to_their_steps(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.opacities, true.opacities, atol=1 / 65535)
 
 
+@pytest.mark.parametrize("nan", [0x7FC00000, 0x7FA00000], ids=["quiet", "signalling"])
+def test_a_size_that_is_no_number_is_left_out(tmp_path: Path, nan: int) -> None:
+    damaged = arrays(scene())
+    damaged[f"{NAME}:SCALE"].view(np.uint32)[3, 0] = nan
+    assert len(opened(tmp_path, glb(damaged))) == N - 1
+
+
 def test_drafts_had_logarithms_of_sizes(tmp_path: Path) -> None:
     true = scene()
     old = arrays(true) | {f"{NAME}:SCALE": np.log(true.scales)}
