@@ -93,7 +93,7 @@ def filled_share(atoms: Atoms, body: Body) -> float:
     """Share of the front of a body's skin below which, by BELOW, interior atoms fill it. Range [0, 1]."""
     points = sample_skin(body, atoms.pitch)
     outwards = -inward_normals(body, points)
-    heights = front_heights(atoms.surface, points, outwards, 2 * BELOW * atoms.pitch)
+    heights = front_heights(atoms.surface, points, outwards, atoms.pitch)
     seen = np.isfinite(heights)
     below = points[seen] + outwards[seen] * (heights[seen] - BELOW * atoms.pitch)[:, None]
     return float((KernelField(atoms.without_skin()).at(below)[1] >= SOLID_DENSITY).mean())

@@ -39,7 +39,7 @@ def radii(body: Body) -> np.ndarray:
     return np.linalg.norm(sample_skin(body, PITCH), axis=1)
 
 
-@pytest.mark.parametrize("depths", [(1.0,), (0.6, 1.2), (0.4, 0.8, 1.2)])
+@pytest.mark.parametrize("depths", [(1.0,), (0.8, 1.2), (0.8, 1.0, 1.2)])
 def test_layers_below_the_outermost_do_not_hold_the_skin_back(depths: tuple[float, ...]) -> None:
     shell = joined(layer(1), *(layer(1 - PITCH * depth) for depth in depths))
     body = find_body(shell, cells=64).body
@@ -58,7 +58,7 @@ def test_the_skin_of_a_scan_stays() -> None:
 def test_what_flies_above_the_skin_does_not_lift_it() -> None:
     """A leaf three pitches above it, and single atoms one pitch above it."""
     inner = joined(layer(1), layer(1 - 0.8 * PITCH))
-    leaf, single = layer(1 + 3 * PITCH), layer(1 + PITCH)[::40]
+    leaf, single = layer(1 + 3 * PITCH), layer(1 + PITCH)[::100]
     body = find_body(inner, cells=64).body
     shell = joined(inner, leaf[leaf.means[:, 2] > 0.8], single)
     moved = radii(out_to_front(body, atoms_of(shell), PITCH))
@@ -75,8 +75,20 @@ def test_a_capture_is_full_up_to_what_it_shows(name: str, least: float) -> None:
     atoms, body = solidify(enclosure, 64, 0.05, 0)
     points = sample_skin(body, atoms.pitch)
     outwards = -inward_normals(body, points)
-    heights = front_heights(atoms.surface, points, outwards, 1.5 * atoms.pitch)
+    heights = front_heights(atoms.surface, points, outwards, atoms.pitch)
     seen = np.isfinite(heights)
     below = points[seen] + outwards[seen] * (heights[seen] - 0.75 * atoms.pitch)[:, None]
     density = KernelField(atoms.without_skin()).at(below)[1]
     assert (density >= SOLID_DENSITY).mean() > least
+
+
+def test_tilted_discs_do_not_lift_the_skin() -> None:
+    """The mean of a layer is the skin, not what stands out of it."""
+    rng = np.random.default_rng(0)
+    ball = sphere()
+    outwards = ball.means + 0.15 * rng.normal(size=ball.means.shape)
+    size = float(ball.scales.max())
+    inner = layer(1 - 1.2 * PITCH)
+    shell = joined(flat_gaussians(ball.means.astype(float), outwards, size), inner)
+    moved = radii(out_to_front(find_body(shell, cells=64).body, atoms_of(shell), PITCH))
+    assert abs(np.median(moved) - 1) < 0.1 * PITCH
