@@ -33,8 +33,8 @@ STEPS = 2
 0.12 to 0.41 pitches from it in the mean, 0.05 to 0.25 after one step, 0.03 to 0.15 after two."""
 
 STILL = 0.1
-"""Pitches. Mean distance to the front up to which the skin is left as it is: that of two scanned fruits is 0.01, of the
-samples' drawn captures 0.09 at most."""
+"""Pitches. Mean distance to the front up to which the skin is left as it is. At standard, that of two scanned fruits is
+0.01, of the samples' drawn captures 0.09 at most."""
 
 NEIGHBOURS = 48
 """Nearest atoms among which a point's front is looked for. With half as many, 6 % of the points of three captures have
