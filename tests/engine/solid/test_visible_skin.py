@@ -70,7 +70,7 @@ def test_what_flies_above_the_skin_does_not_lift_it() -> None:
 @needs_splats
 @pytest.mark.parametrize(("name", "least"), [("donut_mipsplatting.ply", 0.99), ("guitar.compressed.ply", 0.98)])
 def test_a_capture_is_full_up_to_what_it_shows(name: str, least: float) -> None:
-    """The interior atoms alone fill it three quarters of a pitch below the front: 0.94 and 0.93 of it where they fill no
+    """The interior alone fills it three quarters of a pitch below the front: 0.94 and 0.93 of it where atoms fill no
     more than is enclosed. All that is enclosed stays, and no piece of its own is added."""
     enclosure = find_enclosure(load(SPLATS / name).gaussians, 64, name)
     atoms, body = solidify(enclosure, 64, 0.05, 0)
