@@ -103,7 +103,7 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
             break
         there = _part_of_skin(shell, closer, grid)
         grows, closes = there > part + GAIN + closer.capped, capped > max(CAPPED, 2 * closer.capped)
-        if not (grows or closes):
+        if not (grows or closes) or _buries(shell, closer, grid):
             break
         found, part, capped, with_gaps = closer, there, closer.capped, True
     if with_gaps:
@@ -150,6 +150,13 @@ def _enclosed(walls: Gaussians, shell: Gaussians, grid: Grid) -> _Found | None:
 def _part_of_skin(shell: Gaussians, found: _Found | None, grid: Grid) -> float:
     """Share of the shell's Gaussians at the skin of what was found, or below it."""
     return 0.0 if found is None else float((Body(grid, found.depth).at(shell.means) > -SKIN * grid.cell).mean())
+
+
+def _buries(shell: Gaussians, found: _Found, grid: Grid) -> bool:
+    """Whether half of the shell's Gaussians lie deeper than a wall is half thick: they are misplaced in depth, a cloud
+    whose neighbours are far where nothing is missing. The right reach leaves a thinned capture's within 0.2 cells of
+    its skin, as eight of them; a standard deviation of 0.02 longest sides buries its by 1.4 to 3.8 cells."""
+    return bool(np.median(Body(grid, found.depth).at(shell.means)) > WALL_HALF * grid.cell)
 
 
 def _reaching_neighbours(gaussians: Gaussians, reach: float) -> Gaussians:

@@ -259,6 +259,19 @@ def test_a_tenth_of_a_capture_encloses_what_all_of_it_does(name: str, cells: int
     assert abs(find_body(thinned(whole, 0.1), cells).body.volume / volume - 1) < 0.08
 
 
+def test_a_skin_of_misplaced_gaussians_does_not_swell_until_it_buries_them() -> None:
+    """A cloud of a few cells has no gaps, however far its Gaussians are from one another: their reach is not widened."""
+    path = SHARED / "splats/meshgs_orange_30k.ply"
+    if not path.exists():
+        pytest.skip("the shared captures are not here")
+    whole = load(path).gaussians
+    low, high = whole.visible_bounds()
+    away = np.random.default_rng(0).normal(0, 0.02 * float((high - low).max()), whole.means.shape)
+    found = find_body(replace(whole, means=(whole.means + away).astype(np.float32)))
+    assert abs(found.body.volume / find_body(whole).body.volume - 1) < 0.08
+    assert not any("gaps" in note for note in found.notes)
+
+
 @pytest.mark.parametrize(
     "scene",
     [
