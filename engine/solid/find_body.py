@@ -98,12 +98,13 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     for reach in REACHES:
         if capped <= GAIN if with_gaps else capped <= CAPPED and part >= 1 - GAIN:
             break
-        closer = _enclosed(_reaching_neighbours(shell, reach), shell, grid)
+        wide = _reaching_neighbours(shell, reach)
+        closer = _enclosed(wide, shell, grid)
         if closer is None:
             break
         there = _part_of_skin(shell, closer, grid)
         grows, closes = there > part + GAIN + closer.capped, capped > max(CAPPED, 2 * closer.capped)
-        if not (grows or closes) or _buries(shell, closer, grid):
+        if not (grows or closes) or _are_buried(wide, closer, grid):
             break
         found, part, capped, with_gaps = closer, there, closer.capped, True
     if with_gaps:
@@ -152,11 +153,13 @@ def _part_of_skin(shell: Gaussians, found: _Found | None, grid: Grid) -> float:
     return 0.0 if found is None else float((Body(grid, found.depth).at(shell.means) > -SKIN * grid.cell).mean())
 
 
-def _buries(shell: Gaussians, found: _Found, grid: Grid) -> bool:
-    """Whether half of the shell's Gaussians lie deeper than a wall is half thick: they are misplaced in depth, a cloud
-    whose neighbours are far where nothing is missing. The right reach leaves a thinned capture's within 0.2 cells of
-    its skin, as eight of them; a standard deviation of 0.02 longest sides buries its by 1.4 to 3.8 cells."""
-    return bool(np.median(Body(grid, found.depth).at(shell.means)) > WALL_HALF * grid.cell)
+def _are_buried(wide: Gaussians, found: _Found, grid: Grid) -> bool:
+    """Whether half of the widened Gaussians lie deeper below the skin than they reach: they are misplaced in depth, a
+    cloud in which the neighbours of one are far where nothing is missing. In eight captures thinned to a tenth or a
+    fiftieth the median depth is at most half of the median standard deviation, in those moved by 0.02 longest sides 1.2
+    to 7 times."""
+    depth = Body(grid, found.depth).at(wide.means)
+    return bool(np.median(depth) > np.median(wide.scales.max(1)))
 
 
 def _reaching_neighbours(gaussians: Gaussians, reach: float) -> Gaussians:

@@ -247,6 +247,12 @@ def test_a_thinned_shell_encloses_what_the_whole_one_does(part: float) -> None:
     assert any("gaps" in note for note in found.notes) == (part < 0.3)
 
 
+def test_a_hundredth_of_a_shell_still_encloses_it() -> None:
+    """Its Gaussians are wide and stick out of the skin, but none is buried deeper than it reaches."""
+    found = find_body(thinned(sphere(30000), 0.01), cells=64)
+    assert 1 < found.body.volume / (4 / 3 * np.pi) < 1.3
+
+
 @pytest.mark.parametrize(
     ("name", "cells"), [("meshgs_orange_30k.ply", 64), ("tarot_box_capture.ply", 104), ("plant.splat", 128)]
 )
@@ -260,7 +266,7 @@ def test_a_tenth_of_a_capture_encloses_what_all_of_it_does(name: str, cells: int
 
 
 def test_a_skin_of_misplaced_gaussians_does_not_swell_until_it_buries_them() -> None:
-    """A cloud of a few cells has no gaps, however far its Gaussians are from one another: their reach is not widened."""
+    """A cloud of a few cells has no gaps, however far apart its Gaussians are: their reach is not widened."""
     path = SHARED / "splats/meshgs_orange_30k.ply"
     if not path.exists():
         pytest.skip("the shared captures are not here")
