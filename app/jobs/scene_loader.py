@@ -236,7 +236,7 @@ def _prepared(line: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:
     """The arrays of a line with whatever takes time to make of them, made in the thread that reads them."""
     if line["ready"] == "atoms":
         surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
-        interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], line["facts"]["exposed"])
+        interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"])
         atoms = Atoms(surface, interior, line["facts"]["pitch"])
         return {"drawn": Drawable(atoms), "solid": PointSample.of_atoms(atoms)}
     means = arrays["means"]

@@ -182,7 +182,7 @@ def _send_atoms(folder: Path, atoms: Atoms, facts: dict[str, Any]) -> None:
     s, i = atoms.surface, atoms.interior
     arrays = {"means": s.means, "scales": s.scales, "quats": s.quats, "sh": s.sh}
     arrays |= {"inside": i.means, "sigmas": i.sigmas, "rgb": i.rgb}
-    _send_arrays(folder, "atoms", arrays, {"pitch": float(atoms.pitch), "exposed": int(i.exposed), **facts})
+    _send_arrays(folder, "atoms", arrays, {"pitch": float(atoms.pitch), **facts})
 
 
 def _arrays(gaussians: Gaussians) -> dict[str, NDArray[Any]]:

@@ -150,7 +150,7 @@ def stamps(folder: Path) -> dict[str, tuple[int, int]]:
 
 def sound_solid(folder: Path) -> Path:
     """Saves a small trained object, and beside it a small picture of a cut; returns the object's path."""
-    save_trained(folder / SOLID, scatter(3, 4, exposed=1), Meta(source="none"))
+    save_trained(folder / SOLID, scatter(3, 4), Meta(source="none"))
     with open_picture(ROOT / "sample_scenes/orange/horizontal_1.png") as picture:
         picture.resize((128, 128)).save(folder / PICTURE)
     return folder / SOLID

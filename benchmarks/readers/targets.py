@@ -152,7 +152,7 @@ def check_checkpoint(data: bytes, folder: Path) -> bool:
 
 def trained_files(suffix: str) -> tuple[Any, bytes]:
     """A sidecar, and its .ply or .spz."""
-    atoms = scatter(3, 4, exposed=1)
+    atoms = scatter(3, 4)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"a{suffix}"
         save_trained(path, atoms, Meta(families=({"kind": "radial", "count": 3},), prior="exemplar", source="a.ply"))
@@ -174,7 +174,7 @@ def check_trained(value: tuple[bytes, bytes], folder: Path, good: bytes = TRAINE
     atoms, meta = loaded
     save_trained(folder / "u.ply", atoms, meta)
     again, meta_again = load_trained(folder / "u.ply")
-    assert meta_again == meta and again.pitch == atoms.pitch and again.interior.exposed == atoms.interior.exposed
+    assert meta_again == meta and again.pitch == atoms.pitch
     assert np.array_equal(again.interior.means, atoms.interior.means)
     assert np.allclose(again.interior.rgb, atoms.interior.rgb, atol=1e-6)
     return True

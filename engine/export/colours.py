@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.render.cpu.kernel_field import KernelField
-from engine.scene.atoms import Atoms, InteriorAtoms
+from engine.scene.atoms import NO_INTERIOR, Atoms
 from engine.scene.constants import MIN_WEIGHT
 from engine.scene.inside import Inside, Kind
 
@@ -75,15 +75,8 @@ class Colours:
 
     @cached_property
     def _outside(self) -> KernelField:
-        """The field of the surface atoms, and of the interior ones that are seen through their holes."""
-        inner, n = self.atoms.interior, self.atoms.interior.exposed
-        return KernelField(
-            Atoms(
-                self.atoms.surface,
-                InteriorAtoms(inner.means[:n], inner.sigmas[:n], inner.rgb[:n], n),
-                self.atoms.pitch,
-            )
-        )
+        """The field of the surface atoms."""
+        return KernelField(replace(self.atoms, interior=NO_INTERIOR))
 
     def _read(self, field: KernelField, points: NDArray[np.floating], footprint: float) -> Float:
         """(M, 3). Colours of a field; where it has nothing, those of all atoms, at larger and larger footprints."""

@@ -53,8 +53,6 @@ class AtomTensors:
     """(I,). Standard deviations, world units."""
     rgb: torch.Tensor
     """(I, 3). Range [0, 1]."""
-    exposed: int
-    """Number of interior atoms visible from outside, the first rows."""
     pitch: float
     """World units."""
 
@@ -67,9 +65,7 @@ class AtomTensors:
             return torch.tensor(array, dtype=kind)
 
         interior = tensor(i.means), tensor(i.sigmas), tensor(i.rgb)
-        return AtomTensors(
-            tensor(s.means), tensor(s.scales), tensor(s.quats), tensor(s.sh), *interior, i.exposed, atoms.pitch
-        )
+        return AtomTensors(tensor(s.means), tensor(s.scales), tensor(s.quats), tensor(s.sh), *interior, atoms.pitch)
 
     def atoms(self) -> Atoms:
         """The atoms as float32 arrays."""
@@ -77,9 +73,7 @@ class AtomTensors:
             t.detach().float().numpy()
             for t in (self.means, self.scales, self.quats, self.sh, self.interior_means, self.sigmas, self.rgb)
         )
-        return Atoms(
-            SurfaceAtoms(means, scales, quats, sh), InteriorAtoms(interior_means, sigmas, rgb, self.exposed), self.pitch
-        )
+        return Atoms(SurfaceAtoms(means, scales, quats, sh), InteriorAtoms(interior_means, sigmas, rgb), self.pitch)
 
 
 def opaque_image(
@@ -94,11 +88,8 @@ def opaque_image(
     means = torch.cat([atoms.means, atoms.interior_means])
     scales = torch.cat([atoms.scales, atoms.sigmas[:, None].expand(-1, 3)])
     quats = torch.cat([atoms.quats, identity])
-    count = len(atoms.means) + atoms.exposed
-    colours = torch.cat([harmonic_colours(atoms.means, atoms.sh, camera), atoms.rgb[: atoms.exposed]])
-    outside, cover = _Outside.apply(
-        means[:count], scales[:count], quats[:count], colours, camera, tuple(planes), atoms.pitch
-    )
+    colours = harmonic_colours(atoms.means, atoms.sh, camera)
+    outside, cover = _Outside.apply(atoms.means, atoms.scales, atoms.quats, colours, camera, tuple(planes), atoms.pitch)
     over = outside + (1 - cover)[..., None] * torch.tensor(background, dtype=kind)
     if not planes:
         return over, cover

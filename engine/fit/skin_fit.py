@@ -26,7 +26,7 @@ from engine.fit.differentiable import AtomTensors, opaque_image
 from engine.fit.occlusion import CoreView, core_of, view_of_core
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu.opaque import render
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.atoms import NO_INTERIOR, Atoms, SurfaceAtoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
@@ -131,7 +131,7 @@ class SkinFit:
         self.order = np.concatenate([rng.permutation(len(self.views)) for _ in range(epochs)])
         self.backgrounds = rng.random((steps, 3))
         self.backgrounds[::2] = WHITE
-        self.start = AtomTensors.of(self._drawn(atoms.surface))
+        self.start = AtomTensors.of(replace(atoms, interior=NO_INTERIOR))
         self.unit = self.start.scales.median(dim=1, keepdim=True).values
         self.range = math.log(SMALLEST * atoms.pitch), math.log(atoms.pitch)
         self.parameters = {
@@ -181,15 +181,6 @@ class SkinFit:
         better = self._error(surface) < self.start_error
         return replace(self.atoms, surface=surface) if better else self.atoms
 
-    def _drawn(self, surface: SurfaceAtoms) -> Atoms:
-        """This skin on as much of the inside as shows through it."""
-        interior = self.atoms.interior
-        exposed = slice(interior.exposed)
-        shown = InteriorAtoms(
-            interior.means[exposed], interior.sigmas[exposed], interior.rgb[exposed], interior.exposed
-        )
-        return replace(self.atoms, surface=surface, interior=shown)
-
     def _error(self, surface: SurfaceAtoms) -> float:
         """Mean squared error of a skin where it or the capture shows something in held-out views: whole, and without
         what the solid hides, each over white and over black, so that a crack counts whatever is behind it."""
@@ -198,7 +189,7 @@ class SkinFit:
             rows = core.shown(surface.means)
             part = SurfaceAtoms(*(array[rows] for array in (surface.means, surface.scales, surface.quats, surface.sh)))
             for some in (surface, part):
-                image = render(self._drawn(some), target.camera, background=BLACK)
+                image = render(Atoms(some, NO_INTERIOR, self.atoms.pitch), target.camera, background=BLACK)
                 union = (image.alpha > SHOWN) | (target.alpha[..., 0].numpy() > SHOWN)
                 for background in (BLACK, WHITE):
                     over = image.rgb + (1 - image.alpha[..., None]) * np.array(background, np.float32)

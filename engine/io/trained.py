@@ -153,7 +153,6 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
             f"{kind}_crc32": _crc(scene),
             "surface": len(atoms.surface),
             "interior": len(atoms.interior),
-            "exposed": atoms.interior.exposed,
             "pitch": float(atoms.pitch),
             "up": [float(v) for v in meta.up],
             "families": list(meta.families),
@@ -210,7 +209,8 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
     with open_file(path):  # a missing scene is reported before its missing sidecar
         pass
     record = _Record(sidecar_path(path), path)
-    surface, interior, exposed = (record.count(key) for key in ("surface", "interior", "exposed"))
+    surface, interior = (record.count(key) for key in ("surface", "interior"))
+    exposed = record.count("exposed") if "exposed" in record.fields else 0
     pitch = record.number("pitch")
     up = record.vector("up")
     meta = Meta(
@@ -239,6 +239,7 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
     if any(gaussians.origin):  # an older object, trained far from zero
         x, y, z = (a + b for a, b in zip(meta.origin, gaussians.origin, strict=True))
         meta = replace(meta, origin=(x, y, z))
+    surface += exposed  # an older object: its first interior atoms are seen through holes of its skin
     outer, inner = gaussians[:surface], gaussians[surface:]
     return (
         Atoms(
@@ -247,7 +248,6 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
                 inner.means,
                 np.ascontiguousarray(inner.scales[:, 0]),
                 np.minimum(sh_to_rgb(inner.sh[:, 0]), 1).astype(np.float32),
-                exposed,
             ),
             pitch,
         ),

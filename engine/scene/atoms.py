@@ -52,11 +52,7 @@ class SurfaceAtoms:
 
 @dataclass(frozen=True)
 class InteriorAtoms:
-    """I spheres inside the body, float32. The first `exposed` of them lie behind holes of the shell.
-
-    The outside view draws these with the surface atoms; all others appear on cut faces only. Objects that are made now
-    have none, because their skin is closed; older files may have some.
-    """
+    """I spheres inside the body, float32, which appear on cut faces only."""
 
     means: Float
     """(I, 3). World units."""
@@ -64,18 +60,18 @@ class InteriorAtoms:
     """(I,). Isotropic standard deviations, world units, about half the local pitch."""
     rgb: Float
     """(I, 3). Range [0, 1]."""
-    exposed: int = 0
-    """Number of atoms visible from outside, the first rows. Range [0, I]."""
 
     def __post_init__(self) -> None:
         n = len(self.means)
         assert self.means.shape == (n, 3), self.means.shape
         assert self.sigmas.shape == (n,), self.sigmas.shape
         assert self.rgb.shape == (n, 3), self.rgb.shape
-        assert 0 <= self.exposed <= n, self.exposed
 
     def __len__(self) -> int:
         return len(self.means)
+
+
+NO_INTERIOR = InteriorAtoms(np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros((0, 3), np.float32))
 
 
 @dataclass(frozen=True)

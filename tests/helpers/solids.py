@@ -19,7 +19,6 @@ from engine.solid.fill import fill
 from tests.paths import SAMPLES
 
 NO_SURFACE = SurfaceAtoms(*(np.zeros((0, *shape), np.float32) for shape in ((3,), (3,), (4,), (1, 3))))
-NO_INTERIOR = InteriorAtoms(np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros((0, 3), np.float32))
 
 
 def unturned(count: int) -> NDArray[np.float32]:
@@ -69,7 +68,7 @@ Rows = NDArray[np.bool_] | NDArray[np.integer] | slice
 
 
 def rows_of(atoms: Atoms, surface: Rows = slice(None), interior: Rows = slice(None)) -> Atoms:
-    """The atoms in these rows, none of them exposed."""
+    """The atoms in these rows."""
     s, i = atoms.surface, atoms.interior
     return Atoms(
         SurfaceAtoms(s.means[surface], s.scales[surface], s.quats[surface], s.sh[surface]),
@@ -78,7 +77,7 @@ def rows_of(atoms: Atoms, surface: Rows = slice(None), interior: Rows = slice(No
     )
 
 
-def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius: float = 0.5) -> Atoms:
+def ball(pitch: float, seed: int = 0, degree: int = 1, radius: float = 0.5) -> Atoms:
     """A skin of flat striped discs on a sphere, around a jittered lattice with a rind, red flesh and dark seeds."""
     rng = np.random.default_rng(seed)
     count = int(4 * np.pi * radius**2 / (0.6 * pitch) ** 2)
@@ -104,7 +103,7 @@ def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius:
     for seed_point in seeds:
         rgb[np.linalg.norm(points - seed_point, axis=1) < 0.04 * radius] = [0.08, 0.05, 0.03]
     means, sigmas, rgb = (a.astype(np.float32) for a in (points, np.full(len(points), pitch / 2), rgb))
-    return Atoms(skin, InteriorAtoms(means, sigmas, rgb, exposed), pitch)
+    return Atoms(skin, InteriorAtoms(means, sigmas, rgb), pitch)
 
 
 def filled_ball(pitch: float, radius: float = 0.5) -> Atoms:
@@ -139,7 +138,7 @@ def with_leaf(
     return replace(atoms, surface=SurfaceAtoms(*(np.concatenate(pair).astype(np.float32) for pair in both)))
 
 
-def scatter(surface: int, interior: int, seed: int = 0, exposed: int = 0, degree: int = 2) -> Atoms:
+def scatter(surface: int, interior: int, seed: int = 0, degree: int = 2) -> Atoms:
     """A few soft ellipsoids and spheres of all sizes, scattered in the unit cube around the origin."""
     rng = np.random.default_rng(seed)
     quats = rng.normal(size=(surface, 4))
@@ -158,7 +157,6 @@ def scatter(surface: int, interior: int, seed: int = 0, exposed: int = 0, degree
         rng.uniform(-0.4, 0.4, (interior, 3)).astype(np.float32),
         np.exp(rng.uniform(-3.5, -2.0, interior)).astype(np.float32),
         rng.uniform(0, 1, (interior, 3)).astype(np.float32),
-        exposed,
     )
     return Atoms(skin, inside, 0.1)
 

@@ -84,7 +84,7 @@ def trained(folder: Path) -> None:
 
 
 def checkpoint(folder: Path) -> None:
-    Checkpoint(folder, "run").save("labels", {"rgb": np.arange(6, dtype=np.float32)}, {"exposed": 1})
+    Checkpoint(folder, "run").save("labels", {"rgb": np.arange(6, dtype=np.float32)}, {"cells": 1})
 
 
 def batch(folder: Path) -> None:

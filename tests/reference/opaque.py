@@ -99,14 +99,13 @@ def nearest(camera: Camera) -> float:
 
 def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Double, Double, Double]:
     """The outside: colour (H, W, 3), alpha (H, W) and front depth (H, W), inf where nothing covers the pixel."""
-    count = len(atoms.surface) + atoms.interior.exposed
-    means, scales, axes, rgb = (a[:count] for a in ellipsoids(atoms))
-    surface = len(atoms.surface)
-    way = means[:surface] - camera.position
+    count = len(atoms.surface)
+    means, scales, axes = (a[:count] for a in ellipsoids(atoms)[:3])
+    way = means - camera.position
     way = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
     if camera.orthographic:
         way = np.broadcast_to(camera.forward, way.shape)
-    rgb = np.concatenate([sh.colours(atoms.surface.sh.astype(np.float64), way), rgb[surface:]])
+    rgb = sh.colours(atoms.surface.sh.astype(np.float64), way)
 
     origin, direction = rays(camera)
     size = (camera.height, camera.width)

@@ -125,7 +125,7 @@ class Trainer:
         s, i = self.atoms.surface, self.atoms.interior
         return Atoms(
             SurfaceAtoms(s.means, s.scales, s.quats, self.sh.numpy().copy()),
-            InteriorAtoms(i.means, i.sigmas, self.rgb.numpy().copy(), i.exposed),
+            InteriorAtoms(i.means, i.sigmas, self.rgb.numpy().copy()),
             self.atoms.pitch,
         )
 

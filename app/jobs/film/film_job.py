@@ -83,7 +83,6 @@ def message_for(request: FilmRequest, folder: Path) -> dict[str, Any]:
                 "number": number,
                 "file": str(file),
                 "pitch": float(atoms.pitch),
-                "exposed": int(i.exposed),
                 "inside": inside,
             }
         )

@@ -64,7 +64,7 @@ def _read_object(entry: dict[str, Any]) -> Filmed:
     """An object, and what its faces are read from, which the window has read from the same files."""
     arrays = map_arrays(Path(entry["file"]))
     surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
-    interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], entry["exposed"])
+    interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"])
     inside = None if entry["inside"] is None else read_inside(Path(entry["inside"]))
     detail = None if inside is None else Detailed(inside, entry["pitch"])
     return Filmed(Atoms(surface, interior, entry["pitch"]), detail)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from engine.scene.atoms import Atoms
 from engine.scene.morton import morton_order
-from engine.scene.sh import rgb_to_sh
 
 __all__ = ["Cube", "PackedSkin", "pack_skin"]
 
@@ -66,15 +65,9 @@ class PackedSkin:
 
 
 def pack_skin(atoms: Atoms, cube: Cube) -> PackedSkin:
-    """The surface atoms, and the interior ones that show through their holes."""
-    skin, inner, n = atoms.surface, atoms.interior, atoms.interior.exposed
-    bands = skin.sh.shape[1]
-    means = np.concatenate([skin.means, inner.means[:n]])
-    scales = np.concatenate([skin.scales, np.repeat(inner.sigmas[:n, None], 3, axis=1)])
-    quats = np.concatenate([skin.quats, np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))])
-    sh = np.zeros((len(means), bands, 3), np.float32)
-    sh[: len(skin)] = skin.sh
-    sh[len(skin) :, 0] = rgb_to_sh(inner.rgb[:n])
+    """The surface atoms."""
+    skin = atoms.surface
+    means, sh, bands = skin.means, skin.sh, skin.sh.shape[1]
     first = float(np.abs(sh[:, 0]).max(initial=1e-6))
     rest = float(max(np.percentile(np.abs(sh[:, 1:]), CLIPPED), 1e-6)) if sh[:, 1:].size else 1.0
     levels = np.zeros((len(means), bands, 3), np.int8)
@@ -88,9 +81,9 @@ def pack_skin(atoms: Atoms, cube: Cube) -> PackedSkin:
     order = morton_order(means)
     places = (means[order] - cube.low) / cube.edge * (POSITIONS / POSITION_STEP)
     record["mean"] = (np.round(places) * POSITION_STEP).clip(0, POSITIONS)
-    bits = (scales[order] / cube.edge).astype("<f2").view("<u2").astype(np.int64)
+    bits = (skin.scales[order] / cube.edge).astype("<f2").view("<u2").astype(np.int64)
     record["scale"] = (np.round(bits / SCALE_STEP) * SCALE_STEP).astype("<u2").view("<f2")
-    record["quat"] = np.round(quats[order] * LEVELS)
+    record["quat"] = np.round(skin.quats[order] * LEVELS)
     record["sh"][:, : 3 * bands] = levels[order].reshape(len(means), -1)
     planes = np.ascontiguousarray(record.view(np.uint8).reshape(len(means), record.itemsize).T)
     return PackedSkin(zlib.compress(planes.tobytes(), 9), len(means), round(bands**0.5) - 1, vectors, (first, rest))

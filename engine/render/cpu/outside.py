@@ -46,25 +46,16 @@ class Outside:
 
 
 def splats_of(atoms: Atoms) -> Splats:
-    """The atoms that are visible from outside: surface atoms, then exposed interior ones."""
-    surface, interior, exposed = atoms.surface, atoms.interior, atoms.interior.exposed
-    identity = np.zeros((exposed, 4), np.float32)
-    identity[:, 0] = 1
-    return Splats(
-        np.concatenate([surface.means, interior.means[:exposed]]),
-        np.concatenate([surface.scales, np.repeat(interior.sigmas[:exposed, None], 3, 1)]),
-        np.concatenate([surface.quats, identity]),
-    )
+    """The atoms that are visible from outside: those of the surface."""
+    return Splats(atoms.surface.means, atoms.surface.scales, atoms.surface.quats)
 
 
 def view_colours(atoms: Atoms, camera: Camera) -> NDArray[np.float32]:
     """(N, 3). RGB of `splats_of(atoms)` as this camera sees them."""
-    surface, interior = atoms.surface, atoms.interior
+    surface = atoms.surface
     if surface.sh_degree == 0:
-        seen = sh.sh_to_rgb(surface.sh[:, 0])
-    else:
-        seen = sh.colours(surface.sh, directions(surface.means, camera))
-    return np.concatenate([seen, interior.rgb[: interior.exposed]]).astype(np.float32)
+        return sh.sh_to_rgb(surface.sh[:, 0]).astype(np.float32)
+    return sh.colours(surface.sh, directions(surface.means, camera)).astype(np.float32)
 
 
 def directions(means: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:

@@ -164,11 +164,10 @@ class SoftwareMode:
         front = self._buffer("front", shape, np.float32)
         sums = self._buffer("sums", (*shape, SUMS), np.float32)
         chosen, culled = [], []
-        for splats in group.solid.splats(options.interior_only):
-            atoms = visible_atoms(group.view, group.planes, splats, options)
-            for k, (unclipped, clipped, hidden) in enumerate(atoms):
-                chosen.append((splats, k, np.concatenate([unclipped, clipped])))
-                culled.append((splats, k, hidden))
+        splats = group.solid.splats(options.interior_only)
+        for k, (unclipped, clipped, hidden) in enumerate(visible_atoms(group.view, group.planes, splats, options)):
+            chosen.append((splats, k, np.concatenate([unclipped, clipped])))
+            culled.append((splats, k, hidden))
         tiled, colours = self._tile(group, "", chosen)
         for_each(accumulate, -(-(len(tiled.tile_starts) - 1) // TILES_PER_TASK), tiled, colours, front, sums)
         if not any(len(rows) for _, _, rows in culled):

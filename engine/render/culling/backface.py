@@ -141,7 +141,6 @@ def backface_culling(atoms: Atoms) -> BackfaceCulling:
     def cells_of(points: NDArray[np.floating]) -> NDArray[np.int64]:
         return np.floor((points - low) / cell).astype(np.int64)
 
-    at = cells_of(inside.means)
     solid = np.zeros(shape, np.float32)
     spacing = 2 * inside.sigmas / cell
     parts = np.ceil(spacing).astype(np.int64)
@@ -158,7 +157,6 @@ def backface_culling(atoms: Atoms) -> BackfaceCulling:
     skinned[tuple(cells_of(skin.means).T)] = True
     deep = ~dilated(solid < DENSE) & ~dilated(skinned)
     zone = np.where(deep, DEEP, np.where(dilated(filled | skinned), SHELL, EMPTY)).astype(np.uint8)
-    skinned[tuple(at[: inside.exposed].T)] = True
     if not is_covered(filled, skinned):
         return no_culling(len(skin))
 

@@ -59,7 +59,6 @@ class Drawable:
         self.inside = Spheres(self._shifted(inside.means), inside.sigmas, inside.rgb)
         self.atoms = atoms
         """The atoms it was made from; their colours may have been replaced since."""
-        self._exposed = self._as_splats(np.arange(inside.exposed)) if inside.exposed else None
         self._boundary: Ellipsoids | None = None
         self._boundary_rows = np.zeros(0, np.intp)
         self._rgb = inside.rgb
@@ -67,23 +66,23 @@ class Drawable:
     def _shifted(self, means: Float) -> Float:
         return (means.astype(np.float64) - self.centre).astype(np.float32)
 
-    def _as_splats(self, rows: NDArray[np.integer], scale: float = 1.0) -> Ellipsoids:
-        """Interior atoms as splats of the outside."""
+    def _as_splats(self, rows: NDArray[np.integer]) -> Ellipsoids:
+        """Interior atoms as splats of the boundary layer."""
         inside = self.atoms.interior
         unit = np.tile(np.array([1, 0, 0, 0], np.float32), (len(rows), 1))
-        scales = np.repeat(np.float32(scale) * inside.sigmas[rows, None], 3, 1)
+        scales = np.repeat(np.float32(BOUNDARY_SCALE) * inside.sigmas[rows, None], 3, 1)
         return Ellipsoids(self._shifted(inside.means[rows]), scales, unit, sh.rgb_to_sh(inside.rgb[rows, None]))
 
-    def splats(self, interior_only: bool) -> list[Ellipsoids]:
-        """The splats of the outside: skin and exposed atoms, or the interior's boundary layer."""
+    def splats(self, interior_only: bool) -> Ellipsoids:
+        """The splats of the outside: the skin, or the interior's boundary layer."""
         if not interior_only:
-            return [self.skin] if self._exposed is None else [self.skin, self._exposed]
+            return self.skin
         if self._boundary is None:
             inside = self.atoms.interior
             self._boundary_rows = np.flatnonzero(boundary_atoms(inside.means, inside.sigmas))
-            self._boundary = self._as_splats(self._boundary_rows, BOUNDARY_SCALE)
+            self._boundary = self._as_splats(self._boundary_rows)
             self._boundary.update(sh.rgb_to_sh(self._rgb[self._boundary_rows, None]))
-        return [self._boundary]
+        return self._boundary
 
     def update(self, sh_coefficients: Float | None, rgb: Float | None) -> None:
         """Replaces the colours of the same atoms, (S, (d+1)^2, 3) and (I, 3); None leaves them unchanged."""
@@ -92,7 +91,5 @@ class Drawable:
         if rgb is not None:
             self._rgb = rgb
             self.inside.update(rgb)
-            if self._exposed is not None:
-                self._exposed.update(sh.rgb_to_sh(rgb[: len(self._exposed), None]))
             if self._boundary is not None:
                 self._boundary.update(sh.rgb_to_sh(rgb[self._boundary_rows, None]))

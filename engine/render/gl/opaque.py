@@ -103,9 +103,7 @@ class OpaqueMode:
             has_faces |= self.section.draw(
                 view, piece, neighbours, solid.box, solid.inside, skin, sums, solid.pitch, rect, options
             )
-        runs = []
-        for splats in solid.splats(options.interior_only):
-            runs += self.surface.project(view, planes, splats, options)
+        runs = self.surface.project(view, planes, solid.splats(options.interior_only), options)
         sums.splat_fbo.clear(viewport=rect)
         self.surface.draw(view, runs, sums, rect, solid.pitch, has_faces, options)
         return has_faces

@@ -31,7 +31,7 @@ STRAIGHT = section(CUT, UP, np.array([[-0.4] * 3, [0.4] * 3]), 9)
 
 
 def test_it_is_the_same_picture() -> None:
-    atoms = ball(0.1, exposed=20)
+    atoms = ball(0.1)
     camera = orbit((0, 0, 0), UP, 30, 35, 2.0, 61, 45)
     for planes in ([], [CUT, Plane.of((1, 0.2, 0), -0.2)]):
         rgb, alpha = opaque_image(AtomTensors.of(atoms), camera, planes, (0.2, 0.5, 0.9))
@@ -42,7 +42,7 @@ def test_it_is_the_same_picture() -> None:
 
 def things_behind_things(seed: int) -> Atoms:
     """Small soft ellipsoids before larger ones, all at a slant, and a few interior atoms: edges inside silhouettes."""
-    atoms = scatter(24, 6, seed=seed, exposed=3, degree=3)
+    atoms = scatter(24, 6, seed=seed, degree=3)
     skin, towards = atoms.surface, -FAR.forward.astype(np.float32)
     near, size = np.repeat([0.35, -0.3], 12)[:, None], np.repeat([0.05, 0.2], 12)[:, None]
     means = 0.5 * (skin.means - skin.means @ towards[:, None] * towards) + near * towards
@@ -56,7 +56,7 @@ def things_behind_things(seed: int) -> Atoms:
 @pytest.mark.parametrize("seed", [3, 4])
 @pytest.mark.parametrize("made", ["scattered", "behind", "far behind"])
 def test_gradients_meet_finite_differences(made: str, camera: Camera, planes: list[Plane], seed: int) -> None:
-    scene = scatter(5, 6, seed=seed, exposed=3, degree=3) if made == "scattered" else things_behind_things(seed)
+    scene = scatter(5, 6, seed=seed, degree=3) if made == "scattered" else things_behind_things(seed)
     if made == "far behind":  # by forty layers: depth weights at their smallest
         scene = replace(scene, pitch=0.01)
     atoms = AtomTensors.of(scene, torch.float64)
@@ -123,7 +123,7 @@ def test_harmonic_colours_meet_the_harmonics_and_their_derivative(camera: Camera
 
 
 def test_what_nobody_sees_has_no_gradient_and_what_is_odd_stays_finite() -> None:
-    atoms = scatter(12, 8, exposed=4)
+    atoms = scatter(12, 8)
     atoms.surface.scales[:4] = np.array([[0, 0, 0], [1e-30, 1, 1], [1e6, 1, 1], [1e-9, 1e-9, 10]])
     atoms.surface.quats[2] = 0
     atoms.surface.means[5] = FAR.position
@@ -136,7 +136,11 @@ def test_what_nobody_sees_has_no_gradient_and_what_is_odd_stays_finite() -> None
         rgb, alpha = opaque_image(tensors, FAR, planes)
         (rgb.square().sum() + alpha.sum()).backward()
         for name in PARAMETERS:
-            assert torch.isfinite(getattr(tensors, name).grad).all(), name
+            gradient = getattr(tensors, name).grad
+            if planes or name not in ("interior_means", "sigmas", "rgb"):
+                assert torch.isfinite(gradient).all(), name
+            else:  # the inside is on cut faces only
+                assert gradient is None
         assert tensors.means.grad is not None
         assert tensors.means.grad[6].abs().sum() == 0 or planes
 

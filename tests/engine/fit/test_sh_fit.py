@@ -7,9 +7,9 @@ import pytest
 
 from engine.fit.sh_fit import SurfaceView, fit_sh, predict
 from engine.fit.view_weights import ViewWeights
-from engine.scene.atoms import Atoms, SurfaceAtoms
+from engine.scene.atoms import NO_INTERIOR, Atoms, SurfaceAtoms
 from engine.scene.camera import cameras_around
-from tests.helpers.solids import NO_INTERIOR, unturned
+from tests.helpers.solids import unturned
 
 
 def sphere(bands: int, seed: int) -> Atoms:

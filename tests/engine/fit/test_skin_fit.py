@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 from engine.fit.occlusion import CORE_PITCHES, core_of, view_of_core
 from engine.fit.skin_fit import SkinFit
 from engine.render.cpu import opaque
-from engine.scene.atoms import Atoms, SurfaceAtoms
+from engine.scene.atoms import NO_INTERIOR, Atoms, SurfaceAtoms
 from engine.scene.camera import Camera, cameras_around, orbit
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from engine.scene.rotations import facing
-from tests.helpers.solids import NO_INTERIOR
 
 UP = np.array([0.0, 0.0, 1.0])
 PITCH = 0.1

@@ -27,7 +27,7 @@ STRAIGHT = replace(CAMERA, orthographic=True, fx=35.0, fy=40.0)
 @pytest.mark.parametrize("camera", [CAMERA, STRAIGHT])
 @pytest.mark.parametrize(
     "atoms",
-    [ball(0.1, exposed=30), with_leaf(ball(0.1), spacing=1.1), scatter(25, 30, exposed=8)],
+    [ball(0.1), with_leaf(ball(0.1), spacing=1.1), scatter(25, 30)],
     ids=["ball", "leaf", "scatter"],
 )
 def test_w_times_colours_is_the_render(atoms: Atoms, camera: Camera, planes: list[Plane]) -> None:

@@ -17,12 +17,13 @@ from plyfile import PlyData
 from engine.io import trained
 from engine.io.trained import Meta, find_trained, is_trained, load_trained, save_trained, sidecar_path
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.sh import C0
 from tests.helpers.refusal import refusal
 
 META = Meta((0.0, -1.0, 0.0), ({"kind": "radial", "count": 30, "exemplars": ["b.png"]},), 7, "exemplar", "apple é.ply")
 
 
-def some(surface: int, interior: int, degree: int, exposed: int = 0, seed: int = 0) -> Atoms:
+def some(surface: int, interior: int, degree: int, seed: int = 0) -> Atoms:
     r = np.random.default_rng(seed)
 
     def normal(*shape: int) -> np.ndarray:
@@ -32,7 +33,7 @@ def some(surface: int, interior: int, degree: int, exposed: int = 0, seed: int =
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     return Atoms(
         SurfaceAtoms(normal(surface, 3), np.exp(normal(surface, 3) - 4), quats, normal(surface, (degree + 1) ** 2, 3)),
-        InteriorAtoms(normal(interior, 3), np.exp(normal(interior) - 4), r.random((interior, 3), np.float32), exposed),
+        InteriorAtoms(normal(interior, 3), np.exp(normal(interior) - 4), r.random((interior, 3), np.float32)),
         0.0123,
     )
 
@@ -41,20 +42,18 @@ def some(surface: int, interior: int, degree: int, exposed: int = 0, seed: int =
 @given(
     surface=st.integers(1, 30),
     interior=st.integers(0, 30),
-    share=st.floats(0, 1),
     degree=st.integers(0, 3),
     seed=st.integers(0, 2**32),
 )
 def test_round_trip(
-    tmp_path_factory: pytest.TempPathFactory, surface: int, interior: int, share: float, degree: int, seed: int
+    tmp_path_factory: pytest.TempPathFactory, surface: int, interior: int, degree: int, seed: int
 ) -> None:
     path = tmp_path_factory.mktemp("trained") / "apple.v2.ply"
-    atoms = some(surface, interior, degree, int(share * interior), seed)
+    atoms = some(surface, interior, degree, seed)
     save_trained(path, atoms, META)
     back, meta = load_trained(path)
     assert meta == META
     assert back.pitch == atoms.pitch
-    assert back.interior.exposed == atoms.interior.exposed
     np.testing.assert_array_equal(back.surface.means, atoms.surface.means)
     np.testing.assert_array_equal(back.interior.means, atoms.interior.means)
     np.testing.assert_array_equal(back.surface.sh, atoms.surface.sh)
@@ -163,7 +162,6 @@ MALFORMED: dict[str, Any] = {
     "format": [None, 2, "1", [1]],
     "surface": [None, -1, 2, 3.0, True, "3", 10**30],
     "interior": [None, 5],
-    "exposed": [None, -1, 5],
     "pitch": [None, 0, -1.0, "x", float("nan"), float("inf"), 10**400],
     "up": [None, [0, 1], [0, 0, 0], [0, "1", 0], [0, float("nan"), 0], 3],
     "families": [None, {}, [3]],
@@ -222,7 +220,7 @@ def test_atoms_that_no_reader_takes_are_not_saved(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("unit", [1.0, 1e-6, 1e7])  # sizes within and beyond the range of an .spz
 def test_a_compact_object_is_the_object_to_its_steps(tmp_path: Path, unit: float) -> None:
-    plain = some(40, 60, 2, 7)
+    plain = some(40, 60, 2)
     surface = dataclasses.replace(
         plain.surface,
         means=plain.surface.means * np.float32(unit),
@@ -238,7 +236,7 @@ def test_a_compact_object_is_the_object_to_its_steps(tmp_path: Path, unit: float
     path = tmp_path / "apple.spz"
     save_trained(path, atoms, META)
     back, meta = load_trained(path)
-    assert meta == META and back.pitch == atoms.pitch and back.interior.exposed == 7
+    assert meta == META and back.pitch == atoms.pitch
     for one, other in ((back.surface, surface), (back.interior, interior)):
         np.testing.assert_allclose(one.means, other.means, atol=2e-4 * unit)
     np.testing.assert_allclose(back.surface.scales, surface.scales, rtol=3e-4)
@@ -246,6 +244,28 @@ def test_a_compact_object_is_the_object_to_its_steps(tmp_path: Path, unit: float
     assert np.abs((back.surface.quats * surface.quats).sum(1)).min() > 1 - 1e-5
     np.testing.assert_allclose(back.surface.sh[:, 1:], surface.sh[:, 1:], atol=1 / 127)
     np.testing.assert_allclose(back.interior.rgb, interior.rgb, atol=0.004)
+
+
+def test_what_an_older_object_shows_through_holes_belongs_to_its_skin(tmp_path: Path) -> None:
+    atoms, path = some(5, 8, 1), tmp_path / "a.ply"
+    save_trained(path, atoms, META)
+    record = json.loads(sidecar_path(path).read_text())
+    sidecar_path(path).write_text(json.dumps({**record, "exposed": 3}))
+    back, _ = load_trained(path)
+    assert (len(back.surface), len(back.interior)) == (8, 5)
+    np.testing.assert_array_equal(back.surface.means[5:], atoms.interior.means[:3])
+    np.testing.assert_allclose(back.surface.scales[5:], atoms.interior.sigmas[:3, None].repeat(3, 1), rtol=1e-6)
+    np.testing.assert_allclose(0.5 + C0 * back.surface.sh[5:, 0], atoms.interior.rgb[:3], atol=1e-6)
+    assert not back.surface.sh[5:, 1:].any()
+
+
+@pytest.mark.parametrize("value", [None, -1, 9, "1"])
+def test_an_older_object_has_no_more_of_these_than_atoms(tmp_path: Path, value: Any) -> None:
+    path = tmp_path / "a.ply"
+    save_trained(path, some(5, 8, 1), META)
+    record = json.loads(sidecar_path(path).read_text())
+    sidecar_path(path).write_text(json.dumps({**record, "exposed": value}))
+    refusal(lambda: load_trained(path))
 
 
 @pytest.mark.parametrize("sizes", ["", "!", "AAAA", "é", 3, None, [1]])

@@ -56,8 +56,8 @@ def renderer(request: pytest.FixtureRequest, renderers: dict[bool, Renderer]) ->
 
 
 MADE = {
-    "scatter": lambda: scatter(60, 60, exposed=15),
-    "ball": lambda: ball(1 / 10, exposed=10),
+    "scatter": lambda: scatter(60, 60),
+    "ball": lambda: ball(1 / 10),
     "leaf": lambda: with_leaf(ball(1 / 10), spacing=1.1),
 }
 

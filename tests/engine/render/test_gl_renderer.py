@@ -54,7 +54,7 @@ def pixel(camera: Camera, point: tuple[float, float, float]) -> tuple[int, int]:
 
 
 def test_colours_in_place(renderer: Renderer) -> None:
-    atoms = ball(1 / 16, exposed=30, degree=2)
+    atoms = ball(1 / 16, degree=2)
     camera, pieces = around(30, 40), (Piece((HALF,)),)
     renderer.set_atoms(atoms)
     draw(renderer, camera, *pieces)
@@ -290,7 +290,7 @@ def test_a_look_draws_splats_of_other_sizes_and_opacities(renderer: Renderer) ->
     made = replace(gaussians, scales=gaussians.scales * 0.5, opacities=gaussians.opacities * np.float32(0.4))
     renderer.set_capture(made)
     assert psnr(seen.rgb, draw(renderer, camera, mode="classic").rgb) > 60
-    atoms = ball(1 / 16, exposed=30, degree=0)
+    atoms = ball(1 / 16, degree=0)
     surface = replace(atoms.surface, scales=atoms.surface.scales * np.float32(0.6))
     interior = replace(atoms.interior, sigmas=atoms.interior.sigmas * np.float32(0.6))
     made_small = replace(atoms, surface=surface, interior=interior)

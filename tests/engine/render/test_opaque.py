@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.opaque import render, render_pieces
-from engine.scene.atoms import Atoms, SurfaceAtoms
+from engine.scene.atoms import NO_INTERIOR, Atoms, SurfaceAtoms
 from engine.scene.camera import Camera, look_at, orbit, section
 from engine.scene.image import psnr
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import cores, use_cores
-from tests.helpers.solids import NO_INTERIOR, ball, rows_of, scatter, unturned, with_leaf
+from tests.helpers.solids import ball, rows_of, scatter, unturned, with_leaf
 from tests.reference.opaque import kernel_field, reference
 
 UP = (0.0, 0.0, 1.0)
@@ -45,7 +45,7 @@ STRAIGHT = replace(view(40), orthographic=True, fx=35.0, fy=40.0)
 @pytest.mark.parametrize("planes", [[], CUTS[:1], CUTS], ids=["whole", "half", "quarter"])
 @pytest.mark.parametrize("camera", [view(), INSIDE, ON_PLANE, OFF_CENTRE, STRAIGHT])
 def test_meets_the_formula(camera: Camera, planes: list[Plane]) -> None:
-    for atoms in (ball(0.12, exposed=20), with_leaf(ball(0.12)), scatter(25, 30, exposed=8)):
+    for atoms in (ball(0.12), with_leaf(ball(0.12)), scatter(25, 30)):
         picture = render(atoms, camera, planes, (0.2, 0.5, 0.9), light=True)
         rgb, alpha, depth = reference(atoms, camera, planes, (0.2, 0.5, 0.9), light=True)
         assert psnr(picture.rgb, rgb) > 60
@@ -237,13 +237,13 @@ def test_thirty_planes_and_a_tangent_one() -> None:
 
 def test_the_degenerate_is_finite() -> None:
     tiny = replace(view(), width=1, height=1, cx=0.5, cy=0.5)
-    for atoms in (scatter(0, 0), scatter(1, 0), scatter(0, 1, exposed=1), ball(0.2)):
+    for atoms in (scatter(0, 0), scatter(1, 0), scatter(0, 1), ball(0.2)):
         for camera in (view(16), tiny, INSIDE):
             for planes in ([], CUTS):
                 picture = render(atoms, camera, planes)
                 assert np.isfinite(picture.rgb).all()
                 assert not np.isnan(picture.depth).any()
-    atoms = scatter(8, 4, exposed=4)
+    atoms = scatter(8, 4)
     atoms.surface.scales[:] = np.array(
         [[0, 0, 0], [1e-30, 1, 1], [1e12, 1, 1], [1e-9, 1e-9, 10], [1, 1, 1], [1e3, 1e-6, 1e-6], [0, 0, 1], [1, 0, 1]]
     )

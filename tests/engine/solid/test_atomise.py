@@ -10,7 +10,7 @@ from engine.fit.skin_fit import SkinFit
 from engine.io.load import load
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
-from engine.scene.atoms import Atoms
+from engine.scene.atoms import NO_INTERIOR, Atoms
 from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
@@ -21,7 +21,7 @@ from engine.solid.denoise_capture import without_haze
 from engine.solid.find_body import WIDEN, Enclosure
 from engine.solid.opacity_field import opacity_field
 from engine.solid.skin_cover import coverage_at, inward_normals, sample_skin
-from tests.helpers.solids import NO_INTERIOR, joined
+from tests.helpers.solids import joined
 from tests.paths import SHARED
 
 DATA = SHARED
