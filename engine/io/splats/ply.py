@@ -39,6 +39,16 @@ REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3, 72: 4}
 MOST_RESTS = 45
 """Number of f_rest properties of degree 3, the highest that is drawn."""
 
+THIRD_SCALE = "scale_2"
+"""Property that captures of discs (2D Gaussian Splatting) lack."""
+
+FLATNESS = 0.01
+"""Thickness of a disc over its smaller standard deviation. A hundredth shows in no view, and is still a Gaussian."""
+
+FILTER = "filter_3D"
+"""Property of captures by Mip-Splatting that are not fused: the standard deviation, world units, of the filter that is
+still to be applied to a Gaussian."""
+
 MAX_LOGIT = 16.6
 """Logit of the largest float32 opacity below 1, 1 - 2^-24. Infinite logits break other viewers."""
 
@@ -47,9 +57,10 @@ def read_ply(path: str | Path, most: int | None = None) -> tuple[Gaussians, list
     """The Gaussians of any 3DGS .ply, and one line about each kind of row that had to be dropped.
 
     SH degree 0..4 (4 is cut to 3), with or without normals and other properties and elements; ascii or binary of
-    either endianness; SuperSplat's compressed form too. With `most`, at most that many, evenly chosen, with SH of
-    degree 0. `gaussians_from_rows` says what is dropped. Raises InputError if the file is no 3DGS scene or has no
-    usable row.
+    either endianness; SuperSplat's compressed form too. The discs of 2D Gaussian Splatting are taken as thin Gaussians,
+    and those of Mip-Splatting through the filter that they were trained with. With `most`, at most that many, evenly
+    chosen, with SH of degree 0. `gaussians_from_rows` says what is dropped. Raises InputError if the file is no 3DGS
+    scene or has no usable row.
     """
     path = Path(path)
     header = read_header(path)
@@ -61,10 +72,11 @@ def read_ply(path: str | Path, most: int | None = None) -> tuple[Gaussians, list
     kept, each = min(rest, MOST_RESTS) // 3, rest // 3  # per channel; channels follow one another
     rests = [f"f_rest_{channel * each + i}" for channel in range(3) for i in range(kept)]
     names = [*GEOMETRY, *COLOUR, *rests]
+    columns = [name for name in (*names, FILTER) if name in vertex.properties]
     # Map coordinates have more digits than float32: they keep their precision until the scene is moved.
     wide = header.ascii or _wide(vertex, names[:3])
     with open_file(path) as file:
-        blocks = _blocks(path, file, header, vertex, names, stride)
+        blocks = (_completed(block, columns) for block in _blocks(path, file, header, vertex, columns, stride))
         gaussians, warnings = gaussians_from_rows(path, blocks, -(-vertex.count // stride), len(names), wide)
     if kept < each:
         warnings.append(f"{path}: spherical harmonics of degree {REST_COUNTS[rest]} cut down to degree 3")
@@ -105,8 +117,9 @@ def _scene_element(path: Path, header: Header) -> Element:
     if vertex is None:
         raise InputError(f"{path}: no 'vertex' element; this is not a 3DGS scene")
     # Properties that only 3DGS has come first: if one is missing, it shows what the file is instead.
-    missing = next((name for name in (*GEOMETRY[4:], *COLOUR, *GEOMETRY[:4]) if name not in vertex.properties), None)
-    if missing:
+    needed = [name for name in (*GEOMETRY[4:], *COLOUR, *GEOMETRY[:4]) if name not in vertex.properties]
+    if needed and needed != [THIRD_SCALE]:
+        missing = needed[0]
         kind = "an incomplete" if header.is_splats else "a mesh, not a" if header.faces else "a point cloud, not a"
         raise InputError(f"{path}: no '{missing}' property; this is {kind} 3DGS scene")
     if vertex.dtype is None:
@@ -114,6 +127,26 @@ def _scene_element(path: Path, header: Header) -> Element:
     if not vertex.count:
         raise InputError(f"{path}: the scene is empty, it has 0 Gaussians")
     return vertex
+
+
+def _completed(block: NDArray[np.floating], columns: Sequence[str]) -> NDArray[np.floating]:
+    """(R, C'). A block (R, C) of these columns as rows of Gaussians: with a third scale, and without a filter."""
+    if THIRD_SCALE not in columns:
+        third = GEOMETRY.index(THIRD_SCALE)
+        block = np.insert(block, third, block[:, third - 2 : third].min(1) + np.log(FLATNESS), 1)
+    return _filtered(block) if columns[-1] == FILTER else block
+
+
+def _filtered(block: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(R, C - 1). Rows (R, C) of Gaussians after the filter in their last column: convolved with a Gaussian of that
+    standard deviation, as much of them as before (Yu et al. 2024, Mip-Splatting, eq. 7)."""
+    rows, opacity, scales = block[:, :-1].copy(), GEOMETRY.index("opacity"), slice(4, 7)
+    log_scales = block[:, scales].astype(np.float64)
+    with np.errstate(all="ignore"):  # files may hold anything; `gaussians_from_rows` drops what makes no sense
+        wide = np.logaddexp(2 * log_scales, 2 * np.log(block[:, -1:].astype(np.float64))) / 2
+        left = np.exp((log_scales - wide).sum(1)) / (1 + np.exp(-block[:, opacity].astype(np.float64)))
+        rows[:, opacity], rows[:, scales] = logits(left), wide
+    return rows
 
 
 def _rest_count(path: Path, vertex: Element) -> int:

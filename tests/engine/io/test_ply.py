@@ -105,6 +105,27 @@ def test_reads_vertices_behind_lists(tmp_path: Path) -> None:
     assert_row(read_ply(tmp_path / "a.ply")[0])
 
 
+@pytest.mark.parametrize("most", [None, 1])
+def test_discs_without_a_third_scale_are_thin_gaussians(tmp_path: Path, most: int | None) -> None:
+    names = [name for name in NAMES if name != "scale_2"]
+    (tmp_path / "a.ply").write_bytes(little([v for n, v in zip(NAMES, ROW, strict=True) if n in names], names=names))
+    gaussians, _ = read_ply(tmp_path / "a.ply", most)
+    np.testing.assert_allclose(gaussians.scales, [[1, np.exp(-1), 0.01 * np.exp(-1)]], rtol=1e-6)
+    np.testing.assert_array_equal(gaussians.quats, [[0, 0, 1, 0]])
+    (tmp_path / "b.ply").write_bytes(little(ROW[:9] + ROW[10:13], names=[n for n in names if n != "rot_3"]))
+    assert "no 'scale_2'" in refusal(lambda: read_ply(tmp_path / "b.ply"))
+
+
+@pytest.mark.parametrize("width", [0.0, 0.01, 0.5, 30.0])
+def test_the_filter_of_mip_splatting_is_applied(tmp_path: Path, width: float) -> None:
+    """A Gaussian convolved with one of this width has the sum of both covariances, and as much of it is there."""
+    (tmp_path / "a.ply").write_bytes(little([*ROW, width], names=[*NAMES, "filter_3D"]))
+    found, _ = read_ply(tmp_path / "a.ply")
+    scales = np.exp([0.0, -1, -2])
+    np.testing.assert_allclose(found.scales[0] ** 2, scales**2 + width**2, rtol=1e-5)
+    np.testing.assert_allclose(found.opacities[0] * found.scales[0].prod(), 0.5 * scales.prod(), rtol=1e-5)
+
+
 @settings(max_examples=25, deadline=None)
 @given(n=st.integers(1, 40), degree=st.integers(0, 3), seed=st.integers(0, 2**32))
 def test_round_trip(tmp_path_factory: pytest.TempPathFactory, n: int, degree: int, seed: int) -> None:
