@@ -67,7 +67,8 @@ def read_file(path: str | Path, limit: int) -> bytes:
     """The content of a file of at most `limit` bytes. Raises InputError as `open_file` does, or if it is larger."""
     with open_file(path) as file:
         try:
-            data = file.read(limit + 1)
+            # Memory is set aside for as much as is asked for, which must not be far more than there is.
+            data = file.read(min(limit, os.fstat(file.fileno()).st_size) + 1)
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({reason(error)})") from error
     if len(data) > limit:

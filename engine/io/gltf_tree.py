@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,8 @@ def read_tree(path: Path) -> tuple[dict[str, Any], int]:
             version, _, size, chunk = struct.unpack("<4I", head[4:])
             if version == 1:
                 raise _old(path, "1.0")
-            if version != 2 or chunk != JSON_CHUNK or size > MOST_JSON:
+            there = os.fstat(file.fileno()).st_size - len(head)
+            if version != 2 or chunk != JSON_CHUNK or size > min(there, MOST_JSON):
                 raise damaged(path)
             data = file.read(size)
             after = 20 + size

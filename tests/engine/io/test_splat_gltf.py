@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -254,6 +255,21 @@ def test_what_cannot_be_opened_is_told_in_one_line(tmp_path: Path, monkeypatch: 
         load(path)
     line = str(caught.value)
     assert expected in line and line.startswith(str(tmp_path)) and "\n" not in line and "Error" not in line
+
+
+@pytest.mark.parametrize(
+    "content", [b"\0", b"{}", struct.pack("<4s4I", b"glTF", 2, 2**31, 2**30, 0x4E4F534A)], ids=["byte", "json", "promise"]
+)
+def test_no_more_memory_is_set_aside_than_the_file_is_large(tmp_path: Path, content: bytes) -> None:
+    """A gigabyte of JSON is allowed; where address space is limited, asking for all of it ended in a MemoryError."""
+    (tmp_path / "a.glb").write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError):
+            load(tmp_path / "a.glb")
+        assert tracemalloc.get_traced_memory()[1] < 16 << 20
+    finally:
+        tracemalloc.stop()
 
 
 @settings(max_examples=60, deadline=None)
