@@ -258,7 +258,9 @@ def test_what_cannot_be_opened_is_told_in_one_line(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize(
-    "content", [b"\0", b"{}", struct.pack("<4s4I", b"glTF", 2, 2**31, 2**30, 0x4E4F534A)], ids=["byte", "json", "promise"]
+    "content",
+    [b"\0", b"{}", struct.pack("<4s4I", b"glTF", 2, 2**31, 2**30, 0x4E4F534A)],
+    ids=["byte", "json", "promise"],
 )
 def test_no_more_memory_is_set_aside_than_the_file_is_large(tmp_path: Path, content: bytes) -> None:
     """A gigabyte of JSON is allowed; where address space is limited, asking for all of it ended in a MemoryError."""
