@@ -169,6 +169,32 @@ def test_no_line_crosses_a_white_hollow_where_a_radial_picture_shows_it_filled()
     assert np.corrcoef(own, np.minimum(0.1 * np.sin(40 * level), 0))[0, 1] > 0.9
 
 
+def test_where_a_radial_picture_shows_a_wider_column_it_has_tips_and_no_bar() -> None:
+    x, y = disc_grid()
+    wide, narrow = face((np.abs(x) < 0.25) & (np.abs(y) < 0.7)), face(np.hypot(x, y) < 0.15)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        made = make_quilt([narrow], [wide], 0, lambda part: None)
+    off = np.linspace(-0.1, 0.1, 401, dtype=np.float32)
+    thick = [is_dark(made, np.stack([0 * off + x, off, 0 * off + 0.3], -1)).mean() for x in (0.17, 0.2, 0.23)]
+    assert thick[0] > 1.3 * thick[1] > 1.6 * thick[2] > 0
+
+
+def test_no_line_crosses_a_hollow_beside_the_plane_of_its_picture() -> None:
+    """A pit that a radial picture alone shows in it is dark in that picture's plane, and hardly as thick as that."""
+    x, y = disc_grid()
+    hollow, filled = np.hypot(x, y) < 0.15, (np.abs(x) < 0.14) & (np.abs(y) < 0.7)
+    filling = np.where((np.abs(y - 0.02) < 0.05)[..., None], (0.35, 0.1, 0.1), (0.55, 0.3, 0.3))
+    across = Disc(np.where(hollow[..., None], 1.0, face(hollow).rgb).astype(np.float32))
+    along = Disc(np.where(filled[..., None], filling, face(filled).rgb).astype(np.float32))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        made = make_quilt([across], [along], 0, lambda part: None)
+    through = np.linspace(-0.1, 0.1, 401, dtype=np.float32)
+    dark = 1 - made.read(np.stack([0 * through + 0.03, through, 0 * through + 0.01], -1))[:, 1]
+    assert dark[200] > 0.15 and 0.2 * dark.mean() < 0.007 * dark[200]  # a third of how thick planes are elsewhere
+
+
 def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() -> None:
     x, y = disc_grid()
     for dark in (np.abs(y) < 0.04, np.hypot(x - 0.4, y) < 0.08, np.zeros(x.shape, bool)):

@@ -28,6 +28,15 @@ WHOLE_ALONE = 0.006
 """The same for a core in one piece, which passes through all planes: it is back where a radial picture closes beside
 its own."""
 
+EDGES = 0.02
+"""Distance in radii from a radial picture's plane over which the edge of a core in one piece passes from where that
+shows it to where the horizontal picture does: a tip, where it would be a bar that sticks out. With 0.05, oranges have
+lumps for stars."""
+
+CROSSING = 10.0
+"""Within such a core, how much nearer than to a radial picture's plane a point may be to the horizontal picture's until
+that is shown: none of the one is a dark line in cuts beside the other."""
+
 ONE_BODY = 0.25
 """Least share of a core's area in its largest inscribed circle if it is one body on the axis. In photographs of five
 apples it is 0.12 to 0.17, of three oranges 0.39 to 0.60."""
@@ -109,7 +118,8 @@ class Cores:
         colours, covered = np.zeros((len(rise), 3), np.float32), np.zeros(len(rise), np.float32)
         change, left = np.zeros((len(rise), 3), np.float32), np.ones(len(rise), np.float32)
         for source, at, away in zip(self.along, right, off, strict=True):
-            own, covers = 1 - _seen(away, WHOLE_ALONE), _passed(source.core.depth_at(at, z))
+            crossing = np.square(rise) / (np.square(rise) + np.square(CROSSING * away) + 1e-12)
+            own, covers = crossing * (1 - _seen(away, WHOLE_ALONE)), _passed(source.core.depth_at(at, z))
             colours += (own * covers * (1 - covered))[:, None] * source.disc.read(at, z)
             covered += own * covers * (1 - covered)
             left *= 1 - own * (1 - covers)
@@ -117,6 +127,9 @@ class Cores:
                 change += source.core.change(at, away, z) / len(self.along)
         stretch = np.float32(1 / np.sqrt(max(1 - self.height**2, 0.1)))  # as `Ball.level` at the picture's height
         shown, deep = across.read(self.across.disc, stretch * x, stretch * y, rise)
+        for source, at, away in zip(self.along, right, off, strict=True):
+            if source.core.shape.any():
+                deep += (1 - _seen(away, EDGES)) * (source.core.depth_at(at, z) - deep)
         covers = _passed(deep) * left * (1 - covered)
         return colours + covers[:, None] * (shown + change), covered + covers
 
