@@ -24,9 +24,9 @@ __all__ = ["Cores", "find_core", "find_cores", "in_one_tone", "show_chambers", "
 ALONE = 0.015
 """Distance in radii from a picture's own plane within which other pictures' cores fade: the plane shows its picture."""
 
-WHOLE_ALONE = 0.006
-"""The same for a core in one piece, which passes through all planes: it is back where a radial picture closes beside
-its own."""
+THIN_ALONE = 0.006
+"""The same where a thick line would show: from a horizontal picture's plane, which crosses the pips of radial ones, and
+for a core in one piece, which passes through all planes and is back where a radial picture closes beside its own."""
 
 EDGES = 0.02
 """Distance in radii from a radial picture's plane over which the edge of a core in one piece passes from where that
@@ -89,7 +89,7 @@ class Cores:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """What `read` gives for points (M, 3) at distances (M,) from the horizontal picture's plane, and at places
         (N, M) along and off the planes of N radial ones, of cores that end."""
-        alone = _seen(np.stack([rise, *off]), ALONE)
+        alone = np.stack([_seen(rise, THIN_ALONE), *_seen(off, ALONE)])
         u, v = Ball.of(points).level.T
         places = [(self.across, u, v, rise), *zip(self.along, right, [points[:, 2]] * len(right), off, strict=True)]
         colours, covered = np.zeros((len(rise), 3), np.float32), np.zeros(len(rise), np.float32)
@@ -119,7 +119,7 @@ class Cores:
         change, left = np.zeros((len(rise), 3), np.float32), np.ones(len(rise), np.float32)
         for source, at, away in zip(self.along, right, off, strict=True):
             crossing = np.square(rise) / (np.square(rise) + np.square(CROSSING * away) + 1e-12)
-            own, covers = crossing * (1 - _seen(away, WHOLE_ALONE)), _passed(source.core.depth_at(at, z))
+            own, covers = crossing * (1 - _seen(away, THIN_ALONE)), _passed(source.core.depth_at(at, z))
             colours += (own * covers * (1 - covered))[:, None] * source.disc.read(at, z)
             covered += own * covers * (1 - covered)
             left *= 1 - own * (1 - covers)
