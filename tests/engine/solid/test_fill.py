@@ -274,7 +274,7 @@ def test_a_skin_of_misplaced_gaussians_does_not_swell_until_it_buries_them() -> 
     low, high = whole.visible_bounds()
     away = np.random.default_rng(0).normal(0, 0.02 * float((high - low).max()), whole.means.shape)
     found = find_body(replace(whole, means=(whole.means + away).astype(np.float32)))
-    assert abs(found.body.volume / find_body(whole).body.volume - 1) < 0.08
+    assert abs(found.body.volume / find_body(whole, 64).body.volume - 1) < 0.08
     assert not any("gaps" in note for note in found.notes)
 
 

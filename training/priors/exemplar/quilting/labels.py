@@ -167,8 +167,10 @@ class Source:
         membranes = np.zeros(disc.rgb.shape[:2], np.float32)
         if is_horizontal:
             membranes = find_membranes(disc, walls=not has_grains)
-        hidden = grains.regions | (relief.closed_until(rind) >= 0)
+        tones, walls = even, None  # those of a picture without grains are found once its core is known
         if has_grains:
+            tones = _tones_of(even, grains.regions | (relief.closed_until(rind) >= 0))
+            walls = even_along(parts.things, membranes)
             relief = relief.closing(parts.things, parts.strength, grains.regions, grains.regions, BLEND / 2)
         return cls(
             disc,
@@ -176,10 +178,10 @@ class Source:
             parts,
             relief,
             smooth_disc(disc, BLUR),
-            smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE),
+            tones,
             persistence,
             membranes,
-            even_along(parts.things, membranes),
+            walls,
             rind,
             grains,
             Seeds.none() if has_grains else Seeds.of(relief, is_horizontal, rind),
@@ -212,7 +214,7 @@ class Source:
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
         if has_core and not (self.is_horizontal and isinstance(core, Column)):  # which goes on beside its picture
             relief = relief.closing(parts.things, parts.strength, core.region, hidden)
-        tones = smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE)
+        tones = _tones_of(even, hidden)
         is_layered = goes_inwards(even, core.reach, self.rind)
         return replace(
             self,
@@ -238,6 +240,11 @@ class Source:
         found = Seeds.of(relief, self.is_horizontal, 0.0, core=0.0)
         ground = Disc(filled_in(self.disc.rgb, things | ~core.shape))
         return replace(core, ground=ground), replace(found.chosen(found.within(core.shape)), regions=things)
+
+
+def _tones_of(even: Disc, hidden: NDArray[np.bool_]) -> Disc:
+    """The tones of a picture with even ones, of what is left where all that is hidden (P, P) ends."""
+    return smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE)
 
 
 def _apart(even: Disc, rind: float, width: float, things: NDArray[np.bool_] | None = None) -> tuple[Parts, Relief]:
