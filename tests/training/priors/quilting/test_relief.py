@@ -14,6 +14,7 @@ from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.labels import Label, Source
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.texture import TextureField
+from training.priors.exemplar.quilting.things.core import Core
 from training.priors.exemplar.sampling import reduced
 
 FLESH, SEED = np.array([0.9, 0.5, 0.3]), np.array([0.2, 0.1, 0.1])
@@ -160,7 +161,7 @@ def test_a_membrane_is_even_along_itself_beside_its_picture_and_as_it_is_in_it()
     spots = 0.85 + 0.15 * np.sign(np.sin(2 * np.pi * radius / 0.12))
     rgb = np.where((across < 0.012)[..., None], spots[..., None], [0.95, 0.55, 0.1])
     rgb = np.where((radius > 0.9)[..., None], [0.95, 0.9, 0.8], rgb)
-    source = Source.of(Disc(rgb.astype(np.float32)), True)
+    source = Source.of(Disc(rgb.astype(np.float32)), True).with_core(Core.none())
     label = Label(OwnHeight(0, source.membranes, np.random.default_rng(0)), [source], True, True)
     along = np.linspace(0.3, 0.75, 200, dtype=np.float32)
     nothing = np.zeros(200, np.float32)

@@ -13,6 +13,7 @@ from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.labels import Source, depths_of
 from training.priors.exemplar.quilting.quilt import make_quilt
 from training.priors.exemplar.quilting.rinds import ANGLES, Rinds
+from training.priors.exemplar.quilting.things.core import Core
 
 FLESH, RIND = np.array([0.9, 0.3, 0.3]), np.array([0.8, 0.9, 0.5])
 HEIGHT = 0.1
@@ -117,7 +118,7 @@ def test_horizontal_pictures_are_read_by_depth_where_their_colours_go_by_it() ->
 
     def toned(amount: NDArray[np.floating]) -> Source:
         rgb = np.where(np.hypot(x, y)[..., None] > 0.95, RIND, FLESH + amount * [-0.5, 0.4, 0])
-        return Source.of(Disc(rgb.astype(np.float32)), is_horizontal=amount is across)
+        return Source.of(Disc(rgb.astype(np.float32)), is_horizontal=amount is across).with_core(Core.none())
 
     across = np.square(radius)
     by_share = np.minimum(np.abs(x) / np.sqrt(np.maximum(1 - y * y, 0.01)), 1)[..., None]

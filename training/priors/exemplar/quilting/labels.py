@@ -153,7 +153,8 @@ class Source:
 
     @classmethod
     def of(cls, disc: Disc, is_horizontal: bool, grains: Grains | None = None) -> Source:
-        """What is known of a picture before its core is found; `with_core` takes it apart once all things are known.
+        """What is known of a picture before its core is found; `with_core` takes it apart once all things are known,
+        and finds its tones and walls unless it has grains.
         `grains`: those of the picture, if they were found already."""
         persistence = Persistence(disc)
         rind = rind_of(disc, is_horizontal)[0]
@@ -167,7 +168,7 @@ class Source:
         membranes = np.zeros(disc.rgb.shape[:2], np.float32)
         if is_horizontal:
             membranes = find_membranes(disc, walls=not has_grains)
-        tones, walls = even, None  # those of a picture without grains are found once its core is known
+        tones, walls = even, None
         if has_grains:
             tones = _tones_of(even, grains.regions | (relief.closed_until(rind) >= 0))
             walls = even_along(parts.things, membranes)
