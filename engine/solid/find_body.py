@@ -155,9 +155,9 @@ def _part_of_skin(shell: Gaussians, found: _Found | None, grid: Grid) -> float:
 
 def _are_buried(wide: Gaussians, found: _Found, grid: Grid) -> bool:
     """Whether half of the widened Gaussians lie deeper below the skin than they reach: they are misplaced in depth, a
-    cloud in which the neighbours of one are far where nothing is missing. In eight captures thinned to a tenth or a
-    fiftieth the median depth is at most half of the median standard deviation, in those moved by 0.02 longest sides 1.2
-    to 7 times."""
+    cloud in which the neighbours of one are far where nothing is missing. In seven captures thinned to a tenth or a
+    fiftieth the median depth is at most 0.4 times the median standard deviation, 0.8 times with the wider reach; in
+    those moved by 0.02 longest sides it is 1.2 to 7 times."""
     depth = Body(grid, found.depth).at(wide.means)
     return bool(np.median(depth) > np.median(wide.scales.max(1)))
 

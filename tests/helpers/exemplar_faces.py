@@ -15,7 +15,9 @@ from tests.paths import SHARED
 from training.faces.marks import Marks
 from training.faces.polygon import mask_polygon
 from training.priors.exemplar.pictures import Picture, read_picture
+from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import Disc
+from training.priors.exemplar.quilting.quilt import Quilt
 
 UP = np.array([0.0, 0.0, 1.0])
 RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.array([0.05, 0.03, 0.02])
@@ -23,6 +25,13 @@ RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.
 
 def quiet(_: float) -> None:
     """A progress callback that does nothing."""
+
+
+def coarse_quilt(across: Disc, along: Disc) -> Quilt:
+    """The quilt of a horizontal picture and a radial one, with seams on few cells: colours are read at every point."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        return quilt.make_quilt([across], [along], 0, quiet)
 
 
 def ball(n: int = 24) -> Body:

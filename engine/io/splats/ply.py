@@ -139,7 +139,7 @@ def _completed(block: NDArray[np.floating], columns: Sequence[str]) -> NDArray[n
 
 def _filtered(block: NDArray[np.floating]) -> NDArray[np.floating]:
     """(R, C - 1). Rows (R, C) of Gaussians after the filter in their last column: convolved with a Gaussian of that
-    standard deviation, as much of them as before (Yu et al. 2024, Mip-Splatting, eq. 7)."""
+    standard deviation, as much of them as before (Yu et al. 2024, Mip-Splatting, the 3D smoothing filter)."""
     rows, opacity, scales = block[:, :-1].copy(), GEOMETRY.index("opacity"), slice(4, 7)
     log_scales = block[:, scales].astype(np.float64)
     with np.errstate(all="ignore"):  # files may hold anything; `gaussians_from_rows` drops what makes no sense

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from training.priors.exemplar.quilting import quilt
+from tests.helpers.exemplar_faces import coarse_quilt
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.labels import Source
-from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
+from training.priors.exemplar.quilting.quilt import Quilt
 from training.priors.exemplar.quilting.things.core import COMPACT, Core, Profile, find_shape
 
 Solid = Callable[[NDArray[np.floating], int], NDArray[np.floating]]
@@ -40,10 +40,7 @@ def pictured(solid: Solid) -> tuple[Disc, Disc]:
 
 
 def grown(solid: Solid) -> Quilt:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        across, along = pictured(solid)
-        return make_quilt([across], [along], 0, lambda part: None)
+    return coarse_quilt(*pictured(solid))
 
 
 def seeds_of(number: int) -> NDArray[np.floating]:

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops
 
-from tests.helpers.exemplar_faces import photograph
+from tests.helpers.exemplar_faces import coarse_quilt, photograph
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, disc_radius, even_sides, match_light
 from training.priors.exemplar.quilting.labels import Source
@@ -102,9 +102,7 @@ def test_a_column_has_the_shape_of_its_picture_and_is_as_wide_as_radial_ones_sho
 
     x, y = disc_grid()
     disc, column = face(np.hypot(x, y / 0.6) < 0.2), face(np.abs(x) < 0.2 * wide(y) / wide(np.array(0.0)))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        made = make_quilt([disc], [column], 0, lambda part: None)
+    made = coarse_quilt(disc, column)
     axis = ((np.arange(160) + 0.5) / 160 * 2 - 1).astype(np.float32) * 0.8
     u, v = (a.ravel() for a in np.meshgrid(axis, axis))
     for points in (
@@ -125,9 +123,7 @@ def test_what_a_radial_picture_shows_in_a_column_makes_no_rings() -> None:
     pith, hollow = (np.abs(x) < 0.2) & (np.abs(y) < 0.8), np.abs(x) < 0.08 + 0.05 * np.sin(9 * y)
     column = Disc(np.where((pith & ~hollow)[..., None], 1.0, face(pith).rgb).astype(np.float32))
     disc = Disc(np.where((np.hypot(x, y) < 0.2)[..., None], 1.0, face(np.zeros(x.shape, bool)).rgb).astype(np.float32))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        made = make_quilt([disc], [column], 0, lambda part: None)
+    made = coarse_quilt(disc, column)
     angle = np.linspace(0.2, np.pi - 0.2, 200)
     for height in (-0.4, 0.3):
         ring = np.column_stack([0.08 * np.cos(angle), 0.08 * np.sin(angle), np.full(200, height)])
@@ -141,9 +137,7 @@ def test_the_plane_of_a_horizontal_picture_is_no_bar_across_a_column() -> None:
     flesh = face(np.zeros(x.shape, bool)).rgb
     along = Disc(np.where(pith[..., None], np.where(green[..., None], (0.8, 1.0, 0.8), 1.0), flesh).astype(np.float32))
     across = Disc(np.where((np.hypot(x, y) < 0.2)[..., None], 1.0, flesh).astype(np.float32))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        made = make_quilt([across], [along], 0, lambda part: None)
+    made = coarse_quilt(across, along)
     heights = np.linspace(-0.3, 0.3, 61)
     blue = made.read(np.column_stack([0 * heights, 0 * heights + 0.05, heights]).astype(np.float32))[:, 2]
     assert blue[30] - blue[[0, -1]].max() > 0.15
@@ -157,9 +151,7 @@ def test_no_line_crosses_a_white_hollow_where_a_radial_picture_shows_it_filled()
     filling = 0.1 * np.sin(40 * y)[..., None] + [0.55, 0.3, 0.3]
     across = Disc(np.where(hollow[..., None], 1.0, face(hollow).rgb).astype(np.float32))
     along = Disc(np.where(filled[..., None], filling, face(filled).rgb).astype(np.float32))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        made = make_quilt([across], [along], 0, lambda part: None)
+    made = coarse_quilt(across, along)
     through = np.linspace(-0.08, 0.08, 161, dtype=np.float32)
     for height in (-0.3, 0.2, 0.4):
         shown = made.read(np.stack([np.full_like(through, 0.03), through, np.full_like(through, height)], -1))
@@ -172,9 +164,7 @@ def test_no_line_crosses_a_white_hollow_where_a_radial_picture_shows_it_filled()
 def test_where_a_radial_picture_shows_a_wider_column_it_has_tips_and_no_bar() -> None:
     x, y = disc_grid()
     wide, narrow = face((np.abs(x) < 0.25) & (np.abs(y) < 0.7)), face(np.hypot(x, y) < 0.15)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        made = make_quilt([narrow], [wide], 0, lambda part: None)
+    made = coarse_quilt(narrow, wide)
     off = np.linspace(-0.1, 0.1, 401, dtype=np.float32)
     thick = [is_dark(made, np.stack([0 * off + x, off, 0 * off + 0.3], -1)).mean() for x in (0.17, 0.2, 0.23)]
     assert thick[0] > 1.3 * thick[1] > 1.6 * thick[2] > 0
@@ -187,9 +177,7 @@ def test_no_line_crosses_a_hollow_beside_the_plane_of_its_picture() -> None:
     filling = np.where((np.abs(y - 0.02) < 0.05)[..., None], (0.35, 0.1, 0.1), (0.55, 0.3, 0.3))
     across = Disc(np.where(hollow[..., None], 1.0, face(hollow).rgb).astype(np.float32))
     along = Disc(np.where(filled[..., None], filling, face(filled).rgb).astype(np.float32))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        made = make_quilt([across], [along], 0, lambda part: None)
+    made = coarse_quilt(across, along)
     through = np.linspace(-0.1, 0.1, 401, dtype=np.float32)
     dark = 1 - made.read(np.stack([0 * through + 0.03, through, 0 * through + 0.01], -1))[:, 1]
     assert dark[200] > 0.15 and 0.2 * dark.mean() < 0.007 * dark[200]  # a third of how thick planes are elsewhere
@@ -242,10 +230,8 @@ def test_a_stone_is_one_solid_that_two_pictures_at_different_heights_are_of() ->
     x, y = disc_grid()
     low, wide, high = -0.2, 0.4, 0.44
     across = np.sqrt(1 - (low / high) ** 2) * wide
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        pictures = face(np.hypot(x, y) < across), face(np.hypot(x / wide, (y - low) / high) < 1)
-        made = make_quilt([pictures[0]], [pictures[1]], 0, lambda part: None)
+    pictures = face(np.hypot(x, y) < across), face(np.hypot(x / wide, (y - low) / high) < 1)
+    made = coarse_quilt(*pictures)
     points = np.random.default_rng(0).uniform(-0.75, 0.75, (60_000, 3)).astype(np.float32)
     points = points[np.linalg.norm(points, axis=1) < 0.75]
     depth = 1 - np.linalg.norm((points - np.array([0, 0, low])) / [wide, wide, high], axis=1)
@@ -300,9 +286,7 @@ def test_a_radial_picture_shows_solids_as_thick_as_wide_or_as_the_arms_of_the_st
 
 @pytest.fixture(scope="module")
 def grown() -> Quilt:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        return make_quilt([face(star())], [face(pips())], 0, lambda part: None)
+    return coarse_quilt(face(star()), face(pips()))
 
 
 def level(height: float) -> NDArray[np.float32]:
@@ -373,10 +357,8 @@ def test_own_planes_show_both_pictures(grown: Quilt) -> None:
 def test_a_stone_is_whole_in_every_cut() -> None:
     """In two fruits with stones at different heights it is one convex piece, and appears nowhere else."""
     x, y = disc_grid()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        pictures = face(np.hypot(x, y) < 0.4), face(np.hypot(x, y + 0.1) < 0.38)
-        made = make_quilt([pictures[0]], [pictures[1]], 0, lambda part: None)
+    pictures = face(np.hypot(x, y) < 0.4), face(np.hypot(x, y + 0.1) < 0.38)
+    made = coarse_quilt(*pictures)
     at = np.linspace(-0.75, 0.75, 251, dtype=np.float32)
     u, v = np.meshgrid(at, at, indexing="ij")
     inside = np.hypot(u, v) < 0.75

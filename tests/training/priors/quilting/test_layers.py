@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.helpers.exemplar_faces import photograph
-from training.priors.exemplar.quilting import quilt
+from tests.helpers.exemplar_faces import coarse_quilt, photograph
 from training.priors.exemplar.quilting.disc import Disc, disc_grid, disc_radius, evened
-from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
+from training.priors.exemplar.quilting.quilt import Quilt
 from training.priors.exemplar.quilting.rinds import goes_inwards, rind_of
 
 FLESH, SKIN = np.array([0.95, 0.92, 0.88]), np.array([0.6, 0.25, 0.45])
@@ -30,9 +29,7 @@ def drawn(radius: NDArray[np.floating]) -> Disc:
 
 @pytest.fixture(scope="module")
 def onion() -> Quilt:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        return make_quilt([drawn(disc_radius())], [drawn(disc_radius())], 0, lambda part: None)
+    return coarse_quilt(drawn(disc_radius()), drawn(disc_radius()))
 
 
 def test_shells_are_closed(onion: Quilt) -> None:

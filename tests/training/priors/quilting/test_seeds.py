@@ -7,11 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from tests.helpers.exemplar_faces import photograph
-from training.priors.exemplar.quilting import quilt
+from tests.helpers.exemplar_faces import coarse_quilt, photograph
 from training.priors.exemplar.quilting.disc import Disc, disc_grid, even_around, even_sides
 from training.priors.exemplar.quilting.labels import Source
-from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
+from training.priors.exemplar.quilting.quilt import Quilt
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.texture import FINE, take_apart
@@ -142,10 +141,8 @@ def test_a_seed_is_whole_in_every_plane_through_it() -> None:
 @pytest.fixture(scope="module")
 def grown() -> Quilt:
     """A quilt of two fruits: the first has seeds around the axis, the second in rows half way out."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))
-        rows = [(x, y, 0.0) for x in (-0.5, 0.5) for y in (-0.2, 0.0, 0.2)]
-        return make_quilt([face(around(8))], [face(rows)], 0, lambda part: None)
+    rows = [(x, y, 0.0) for x in (-0.5, 0.5) for y in (-0.2, 0.0, 0.2)]
+    return coarse_quilt(face(around(8)), face(rows))
 
 
 def dark(made: Quilt, points: NDArray[np.floating]) -> NDArray[np.bool_]:

@@ -34,8 +34,8 @@ shows it to where the horizontal picture does: a tip, where it would be a bar th
 lumps for stars."""
 
 CROSSING = 10.0
-"""Within such a core, how much nearer than to a radial picture's plane a point may be to the horizontal picture's until
-that is shown: none of the one is a dark line in cuts beside the other."""
+"""How many times nearer than the horizontal picture's plane a radial one's has to be for its picture to be shown in such
+a core: as a line in cuts beside the other plane, it is as much thinner."""
 
 ONE_BODY = 0.25
 """Least share of a core's area in its largest inscribed circle if it is one body on the axis. In photographs of five
