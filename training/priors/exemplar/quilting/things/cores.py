@@ -34,7 +34,7 @@ shows it to where the horizontal picture does: a tip, where it would be a bar th
 lumps for stars."""
 
 CROSSING = 10.0
-"""How many times nearer than the horizontal picture's plane a radial one's has to be for its picture to be shown in such
+"""How many times nearer than the horizontal picture's plane a radial one's has to be for its picture to show in such
 a core: as a line in cuts beside the other plane, it is as much thinner."""
 
 ONE_BODY = 0.25
