@@ -59,12 +59,12 @@ def read_layers(height: NDArray[np.floating], read: Read) -> NDArray[np.float32]
     Layers blend such that the variance is kept (Heitz and Neyret 2018), as averaging would blur.
     """
     whole = np.floor(height)
-    part = np.clip((height - whole - (1 - PASSING)) / PASSING, 0, 1) * np.pi / 2
+    part = (height - whole - (1 - PASSING)) / PASSING
     layer = whole.astype(np.int64)
-    out = np.zeros((len(layer), 3), np.float32)
-    for step, share in ((0, np.cos(part)), (1, np.sin(part))):
-        rows = np.flatnonzero(share > 0)
-        out[rows] += share[rows, None] * read(layer[rows] + step, rows)
+    out = read(layer, np.arange(len(layer)))
+    rows = np.flatnonzero(part > 0)
+    turn = np.pi / 2 * part[rows, None]
+    out[rows] = np.cos(turn) * out[rows] + np.sin(turn) * read(layer[rows] + 1, rows)
     return out
 
 

@@ -100,7 +100,7 @@ def weigh_labels(
         label, here = labels[n], ball.at(rows)
         places = label.chunks.places(here)
         even = label.read_even(places)
-        out.colours[rows, n] = label.in_own_tones(even, places, distance_across(labels, label, here))
+        out.colours[rows, n] = even + label.own_tones(places, distance_across(labels, label, here))
         left = label.left(places, even)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.priors.exemplar.noise import Noise
-from training.priors.exemplar.quilting.disc import REACH, to_pixels
+from training.priors.exemplar.quilting.disc import REACH, read_map
 from training.priors.exemplar.quilting.rinds import Rinds
-from training.priors.exemplar.sampling import read_as_scipy, smoothstep
+from training.priors.exemplar.sampling import smoothstep
 
 __all__ = [
     "Ball",
@@ -195,7 +195,7 @@ class OwnHeight:
     def places(self, ball: Ball) -> Places:
         flat = np.stack([*ball.points[:, :2].T, np.full(len(ball.points), self.height)], -1)
         distance = self.distance(ball)
-        held = read_as_scipy(self.held[..., None], *to_pixels(ball.level[:, 0], ball.level[:, 1], len(self.held)))[:, 0]
+        held = read_map(self.held, *ball.level.T)
         onset = ((1 - held) * np.minimum(distance / DRIFT_ONSET, 1))[:, None]
         x, y = _drifted(
             ball.level[:, 0], ball.level[:, 1], ball, onset * (self.drift.at(ball.points) - self.drift.at(flat))
@@ -246,7 +246,7 @@ class Slabs:
 
     def __init__(self, number: int, pictures: int, rng: np.random.Generator) -> None:
         self.number, self.pictures = number, pictures
-        self.turn, self.mirror = rng.uniform(0, 2 * np.pi), rng.choice([-1.0, 1.0])
+        self.turn, self.mirror = rng.uniform(0, 2 * np.pi), float(rng.choice([-1.0, 1.0]))
         self.offset = (number + rng.uniform()) / SLABS * SLAB_SPACING
         self.wave, self.drift = Noise((WAVE_LENGTH,) * 3, 1, rng), Noise(DRIFT_LENGTHS, 2, rng)
 
@@ -261,10 +261,10 @@ class Slabs:
 
     def places(self, ball: Ball) -> Places:
         slab, distance = self._nearest(ball)
-        turn = self.turn + slab * GOLDEN_ANGLE
+        turn = (self.turn + slab * GOLDEN_ANGLE).astype(np.float32)
         c, s = np.cos(turn), np.sin(turn)
-        u, v = ball.level.T
-        x, y = c * u - s * self.mirror * v, s * u + c * self.mirror * v
+        u, v = ball.level[:, 0], self.mirror * ball.level[:, 1]
+        x, y = c * u - s * v, s * u + c * v
         x, y = _drifted(x, y, ball, self.drift.at(ball.points))
         picture = (self.number + slab * SLABS) % self.pictures
         return Places(picture, x, y, distance, ball.rind)
@@ -276,8 +276,8 @@ class Sectors:
     def __init__(self, number: int, pictures: int, rng: np.random.Generator) -> None:
         self.number, self.pictures = number, pictures
         self.turn = rng.uniform(0, SECTORS)
-        self.mirror = rng.choice([-1.0, 1.0], SECTORS)
-        self.shift = rng.standard_normal((SECTORS, 2)) * SHIFT
+        self.mirror = rng.choice([-1.0, 1.0], SECTORS).astype(np.float32)
+        self.shift = (rng.standard_normal((SECTORS, 2)) * SHIFT).astype(np.float32)
         self.wave, self.drift = Noise((WAVE_LENGTH,) * 3, 1, rng), Noise(SECTOR_DRIFT_LENGTHS, 2, rng)
 
     def _nearest(self, ball: Ball) -> tuple[NDArray[np.int64], NDArray[np.float32]]:

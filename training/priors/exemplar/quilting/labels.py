@@ -115,6 +115,11 @@ class Source:
         return len(self.grains.radii) > 0
 
     @cached_property
+    def uneven(self) -> Disc:
+        """What even tones lack of the picture's own."""
+        return Disc(self.disc.rgb - self.even.rgb)
+
+    @cached_property
     def bare(self) -> Source:
         """The same picture without its seeds or grains and its core, which are laid whole; for chunks away from its own
         plane."""
@@ -327,20 +332,17 @@ class Label:
 
     def read_tones(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). The tones of what the places show."""
-        return self.in_own_tones(read_discs(places, [s.tones for s in self.sources]), places, crossing)
+        return self.read_even_tones(places) + self.own_tones(places, crossing)
 
-    def read(
-        self,
-        places: Places,
-        crossing: NDArray[np.float32],
-        texture: NDArray[np.float32],
-        layer: float,
-        film: float,
-    ) -> NDArray[np.float32]:
-        """(M, 3). What the places show, with texture (M, 3), or the picture's own within a `layer` of own planes, and
-        with the picture's own grains within a `film`."""
+    def read_even_tones(self, places: Places) -> NDArray[np.float32]:
+        """(M, 3). The same away from own planes, where tones are even."""
+        return read_discs(places, [s.tones for s in self.sources])
+
+    def read(self, places: Places, texture: NDArray[np.float32], layer: float, film: float) -> NDArray[np.float32]:
+        """(M, 3). What the places show, in even tones, with texture (M, 3), or the picture's own within a `layer` of
+        own planes, and with the picture's own grains within a `film`."""
         shown = self._read_relief(places, film)
-        rgb, strength = self.in_own_tones(shown[:, :3], places, crossing), shown[:, 3:4]
+        rgb, strength = shown[:, :3], shown[:, 3:4]
         if not self.is_own:
             return rgb + strength * texture
         own = read_discs(places, [s.parts.texture for s in self.sources])
@@ -370,18 +372,16 @@ class Label:
                 depth[rows] = read_map(source.grains.depth, places.x[rows], places.y[rows])
         return depth
 
-    def in_own_tones(
-        self, even: NDArray[np.float32], places: Places, crossing: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """(M, 3). Colours (M, 3) in even tones, brought to the pictures' own tones near their own planes.
+    def own_tones(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, 3), or (1, 3) where it is 0. What brings colours in even tones to the pictures' own tones near their own
+        planes.
 
         `crossing` (M,): distances in radii from the other family's own planes.
         """
         if not self.is_own:
-            return even
+            return np.zeros((1, 3), np.float32)
         share = np.exp(-np.square(places.distance / OWN_TONES)) - np.exp(-np.square(crossing / OWN_TONES))
-        tones = read_discs(places, [s.disc for s in self.sources]) - read_discs(places, [s.even for s in self.sources])
-        return even + np.maximum(share, 0)[:, None] * tones
+        return np.maximum(share, 0)[:, None] * read_discs(places, [s.uneven for s in self.sources])
 
 
 def distance_across(labels: list[Label], label: Label, ball: Ball) -> NDArray[np.float32]:

@@ -171,10 +171,10 @@ class Quilt:
     ) -> NDArray[np.float32]:
         """(M, 3). What a label shows at points (M, 3), in the tones (M, 3) of its neighbourhood."""
         ball = self.ball(points)
-        places, crossing = label.chunks.places(ball), distance_across(self.labels, label, ball)
-        field = self.textures[label.is_horizontal]
-        rgb = label.read(places, crossing, field.at(ball), field.thickness, self.ends(film) + float(BLEND))
-        moved = tones - label.read_tones(places, crossing)
+        places, field = label.chunks.places(ball), self.textures[label.is_horizontal]
+        own = label.own_tones(places, distance_across(self.labels, label, ball))
+        rgb = own + label.read(places, field.at(ball), field.thickness, self.ends(film) + float(BLEND))
+        moved = tones - own - label.read_even_tones(places)
         # Flatter than a Gaussian: of a small difference nothing may be left at the edge of a thin film.
         moved *= np.exp(-np.square(np.square(moved).sum(-1, keepdims=True) / (2 * ALIKE**2)))
         return rgb + moved

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, disc_radius, ring_medians
 from training.priors.exemplar.rind import FLESH, rind_depth
-from training.priors.exemplar.sampling import blurred, lengths
+from training.priors.exemplar.sampling import blurred, lengths, read_bilinear
 
 __all__ = ["Rinds", "goes_inwards", "rind_of"]
 
@@ -106,8 +106,8 @@ class Rinds:
     """(ANGLES,). Depth of the quilt's rind by direction in a radial picture, the same on both sides."""
     height: float
     """Height of the first horizontal picture in the ball."""
-    ball: NDArray[np.float64]
-    """(2, LATITUDES + 1, LONGITUDES + 1). Depth of the rind in each direction, in the ball and in the quilt."""
+    ball: NDArray[np.float32]
+    """(LATITUDES + 1, LONGITUDES + 1, 2). Depth of the rind in each direction, in the ball and in the quilt."""
 
     @classmethod
     def of(cls, horizontal: Sequence[Disc], radial: Sequence[Disc], height: float, most: int) -> Rinds:
@@ -138,7 +138,7 @@ class Rinds:
         for away, depths in seen:
             weight = 1 / np.maximum(away, 1e-3) ** 2
             total, weights = total + weight * depths, weights + weight
-        return cls(across, along, level, usual, height, np.stack([total / weights, in_quilt]))
+        return cls(across, along, level, usual, height, np.stack([total / weights, in_quilt], -1).astype(np.float32))
 
     def even(self, disc: Disc, depths: NDArray[np.float64], is_horizontal: bool) -> Disc:
         """The picture, whose rind has these depths (ANGLES,), with the common rind."""
@@ -149,14 +149,15 @@ class Rinds:
         there = np.where(radius < 1, 1 - depth, radius)
         return Disc(disc.read(there * np.cos(turn), there * np.sin(turn)))
 
-    def at(self, points: NDArray[np.float32], length: NDArray[np.floating]) -> NDArray[np.floating]:
+    def at(self, points: NDArray[np.float32], length: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M,). Depth of the quilt's rind towards points (M, 3) at these distances (M,) from the middle."""
-        return _around(self.usual, np.arcsin(np.clip(points[:, 2] / np.maximum(length, 1e-3), -1, 1)))
+        up = np.arcsin(np.clip(points[:, 2] / np.maximum(length, 1e-3), -1, 1))
+        return _around(self.usual, up).astype(np.float32)
 
     def in_horizontal(self, length: NDArray[np.floating], rind: NDArray[np.floating]) -> NDArray[np.floating]:
         """(M,). Distances from the middle at which horizontal pictures, whose rind is as thick as at their height, show
         what lies at distances (M,) where the quilt's rind is as thick as (M,)."""
-        return 1 - _moved(1 - length, rind, np.full(len(length), self.level))
+        return 1 - _moved(1 - length, rind, np.float32(self.level))
 
     def as_deep(self, length: NDArray[np.floating]) -> NDArray[np.floating]:
         """(M,). Distances from the middle of a horizontal picture at which it shows what lies at distances (M,) from
@@ -171,8 +172,8 @@ class Rinds:
         out, some, long = points.copy(), points[rows], length[rows]
         up = np.arcsin(np.clip(some[:, 2] / long, -1, 1))
         turn = np.arctan2(some[:, 1], some[:, 0]) % (2 * np.pi)
-        at = np.stack([(up / np.pi + 0.5) * LATITUDES, turn / (2 * np.pi) * LONGITUDES])
-        here, in_quilt = (ndimage.map_coordinates(d, at, order=1, mode="nearest") for d in self.ball)
+        at = (up / np.pi + 0.5) * LATITUDES, turn / (2 * np.pi) * LONGITUDES
+        here, in_quilt = read_bilinear(self.ball, *at).T
         out[rows] *= ((1 - _moved(1 - long, here, in_quilt)) / long)[:, None]
         return out
 
@@ -205,7 +206,9 @@ def _around(depths: NDArray[np.float64], turn: NDArray[np.floating]) -> NDArray[
     return np.interp(turn % (2 * np.pi) * ANGLES / (2 * np.pi), np.arange(ANGLES + 1), np.append(depths, depths[0]))
 
 
-def _moved(depth: NDArray[np.floating], rind: NDArray[np.floating], to: NDArray[np.floating]) -> NDArray[np.floating]:
+def _moved(
+    depth: NDArray[np.floating], rind: NDArray[np.floating], to: NDArray[np.floating] | np.floating
+) -> NDArray[np.floating]:
     """Depths after a rind is made as thick as `to`: what lies under it is compressed or stretched, fading at REACH."""
     ends = REACH * np.maximum(rind, to)
     beyond = to + (depth - rind) * (ends - to) / (ends - rind)

@@ -106,9 +106,10 @@ class TextureField:
         self.textures, self.is_horizontal = [_everywhere(texture) for texture in textures], is_horizontal
         self.thickness = max(LAYER * float(np.mean([_grain(t) for t in textures])), THINNEST)
         layers = int(2 * REACH / self.thickness) + 4 if is_horizontal else int(np.pi / self.thickness)
-        self._turns = rng.uniform(0, 2 * np.pi, layers)
-        self._shifts = SHIFT * rng.standard_normal((layers, 2))
-        self._mirrors = rng.choice([-1.0, 1.0], layers)
+        turns = rng.uniform(0, 2 * np.pi, layers)
+        self._turns = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
+        self._shifts = (SHIFT * rng.standard_normal((layers, 2))).astype(np.float32)
+        self._mirrors = rng.choice([-1.0, 1.0], layers).astype(np.float32)
         self._pictures = rng.integers(0, len(textures), layers)
         self._waves = Waves(self.thickness, rng)
 
@@ -120,7 +121,7 @@ class TextureField:
 
     def at(self, ball: Ball) -> NDArray[np.float32]:
         """(M, 3). The texture at the points."""
-        count = len(self._turns)
+        count = len(self._mirrors)
         if self.is_horizontal:
             height = (ball.points[:, 2] + REACH) / self.thickness
         else:
@@ -133,12 +134,15 @@ class TextureField:
         """(R, 3). The texture of layers (R,) at some rows (R,) of the points."""
         mirror = self._mirrors[layer]
         if self.is_horizontal:
-            c, s = np.cos(self._turns)[layer], np.sin(self._turns)[layer]
+            c, s = self._turns[layer].T
             u, v = ball.level[rows].T
-            x, y = c * u - s * mirror * v, s * u + c * mirror * v
+            v = mirror * v
+            x, y = c * u - s * v, s * u + c * v
         else:
             free = (1 - ball.rind[rows])[:, None] * self._shifts[layer]
             x, y = mirror * ball.radius[rows] + free[:, 0], ball.points[rows, 2] + free[:, 1]
+        if len(self.textures) == 1:
+            return self.textures[0].read(x, y)
         picture = self._pictures[layer]
         out = np.empty((len(x), 3), np.float32)
         for n, texture in enumerate(self.textures):

@@ -25,10 +25,12 @@ from training.priors.exemplar.quilting.disc import (
     enlarged,
     filled_in,
     read_map,
+    to_pixels,
 )
 from training.priors.exemplar.quilting.things.core import MARGIN, SMOOTH
 from training.priors.exemplar.quilting.things.forms import depth_of
 from training.priors.exemplar.quilting.things.widths import MOST, shown_along, widths_along
+from training.priors.exemplar.sampling import read_bilinear
 
 __all__ = ["Column"]
 
@@ -142,19 +144,19 @@ class Column:
         change -= np.median(self.colours.rgb[self.shape], axis=0)
         return np.asarray((1 - _beside(z - self.height, FADE))[:, None] * change, np.float32)
 
-    def _usual_at(self, z: NDArray[np.floating]) -> NDArray[np.float64]:
+    def _usual_at(self, z: NDArray[np.floating]) -> NDArray[np.float32]:
         """(M, 3). The usual colours at heights (M,)."""
-        level = disc_grid()[1][0]
-        return np.stack([np.interp(z, level, channel) for channel in self._course.T], -1)
+        return read_bilinear(self._course, np.zeros_like(z), to_pixels(z, z, DISC_PIXELS)[0])
 
     @cached_property
-    def _course(self) -> NDArray[np.float64]:
-        """(P, 3). Median colours of the shape at the heights of a disc's pixels; of all of it where it is not."""
+    def _course(self) -> NDArray[np.float32]:
+        """(2, P, 3), both rows alike. Median colours of the shape at the heights of a disc's pixels; of all of it where
+        it is not."""
         shape = self.shape
         course = np.tile(np.median(self.colours.rgb[shape], axis=0).astype(np.float64), (DISC_PIXELS, 1))
         for row in np.flatnonzero(shape.any(0)):
             course[row] = np.median(self.colours.rgb[shape[:, row], row], axis=0)
-        return np.asarray(ndimage.gaussian_filter1d(course, SMOOTH / PIXEL, axis=0))
+        return np.stack([ndimage.gaussian_filter1d(course, SMOOTH / PIXEL, axis=0)] * 2).astype(np.float32)
 
     def _widths(self, rise: NDArray[np.floating]) -> NDArray[np.float32]:
         return np.interp(rise + self.height, disc_grid()[1][0], self.widths).astype(np.float32)

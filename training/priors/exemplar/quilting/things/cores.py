@@ -72,7 +72,8 @@ class Cores:
             return rgb, cover
         rise, (x, y, _) = rise[rows], points[rows].T
         turns = np.arange(len(self.along))[:, None] * np.pi / max(len(self.along), 1)
-        right, off = x * np.cos(turns) + y * np.sin(turns), y * np.cos(turns) - x * np.sin(turns)
+        c, s = np.cos(turns).astype(np.float32), np.sin(turns).astype(np.float32)
+        right, off = c * x + s * y, c * y - s * x
         across = self.across.core
         if isinstance(across, Column) or across.profile:
             rgb[rows], cover[rows] = self._whole(across, points[rows], rise, right, off)
