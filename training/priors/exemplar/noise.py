@@ -28,8 +28,7 @@ class Noise:
     def at(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, count). The values at points (M, 3)."""
         out = np.empty((len(points), self._splines.shape[3]), np.float32)
-        at = ((points + EXTENT) / self._lengths + 1.5).astype(np.float32)
-        for_spans(_read_spline, len(out), self._splines, at, out)
+        for_spans(_read_spline, len(out), self._splines, self._lengths, points, out)
         return out
 
 
@@ -38,16 +37,17 @@ def _read_spline(
     start: int,
     stop: int,
     coefficients: NDArray[np.float32],  # [X, Y, Z, C]
-    at: NDArray[np.float32],  # [M, 3] in cells
+    lengths: NDArray[np.float32],  # [3] of the lattice's cells
+    points: NDArray[np.floating],  # [M, 3]
     out: NDArray[np.float32],  # [M, C]
 ) -> None:
     """Quadratic B-splines (Unser 1999) at points; the coefficients of the lattice's border continue beyond it."""
     channels = coefficients.shape[3]
     last_x, last_y, last_z = coefficients.shape[0] - 1, coefficients.shape[1] - 1, coefficients.shape[2] - 1
     for m in range(start, stop):
-        x, along_x = _spline(at[m, 0])
-        y, along_y = _spline(at[m, 1])
-        z, along_z = _spline(at[m, 2])
+        x, along_x = _spline(points[m, 0], lengths[0])
+        y, along_y = _spline(points[m, 1], lengths[1])
+        z, along_z = _spline(points[m, 2], lengths[2])
         z0, z1, z2 = min(max(z, 0), last_z), min(max(z + 1, 0), last_z), min(max(z + 2, 0), last_z)
         for c in range(channels):
             value = np.float32(0)
@@ -63,8 +63,9 @@ def _read_spline(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _spline(at):  # type: ignore[no-untyped-def]
-    """The first of three coefficients along an axis that count at a place, and their weights."""
-    half, middle = np.float32(0.5), np.floor(at + np.float32(0.5))
+def _spline(place, length):  # type: ignore[no-untyped-def]
+    """The first of three coefficients along an axis that count at a place, and their weights. `length`: of a cell."""
+    half, at = np.float32(0.5), (np.float32(place) + np.float32(EXTENT)) / length + np.float32(1.5)
+    middle = np.floor(at + half)
     t = at - middle
     return np.int64(middle) - 1, (half * (half - t) ** 2, np.float32(0.75) - t * t, half * (half + t) ** 2)

@@ -202,22 +202,22 @@ def _read_trilinear(
     at: NDArray[np.float32],  # [M, 3] in cells, cell centres at whole numbers
     out: NDArray[np.float32],  # [M, C]
 ) -> None:
+    one = np.float32(1)
     for m in range(start, stop):
-        first = np.empty(3, np.int64)
-        part = np.empty(3, np.float32)
-        for a in range(3):
-            place = min(max(at[m, a], np.float32(0)), np.float32(values.shape[a] - 1))
-            first[a] = min(int(place), values.shape[a] - 2)
-            part[a] = place - np.float32(first[a])
-        i, j, k = first
-        for c in range(values.shape[3]):
-            out[m, c] = np.float32(0)
+        u = min(max(at[m, 0], np.float32(0)), np.float32(values.shape[0] - 1))
+        v = min(max(at[m, 1], np.float32(0)), np.float32(values.shape[1] - 1))
+        w = min(max(at[m, 2], np.float32(0)), np.float32(values.shape[2] - 1))
+        i, j, k = min(int(u), values.shape[0] - 2), min(int(v), values.shape[1] - 2), min(int(w), values.shape[2] - 2)
+        a, b, c = u - np.float32(i), v - np.float32(j), w - np.float32(k)
+        for channel in range(values.shape[3]):
+            total = np.float32(0)
             for d in range(8):
                 x, y, z = d & 1, d >> 1 & 1, d >> 2
-                weight = part[0] if x else np.float32(1) - part[0]
-                weight *= part[1] if y else np.float32(1) - part[1]
-                weight *= part[2] if z else np.float32(1) - part[2]
-                out[m, c] += weight * values[i + x, j + y, k + z, c]
+                weight = a if x else one - a
+                weight *= b if y else one - b
+                weight *= c if z else one - c
+                total += weight * values[i + x, j + y, k + z, channel]
+            out[m, channel] = total
 
 
 def smoothstep(value: NDArray[np.floating], low: float = 0, high: float = 1) -> NDArray[np.floating]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from training.priors.exemplar.noise import Noise
 
-__all__ = ["LAYER", "Fan", "Waves", "beside_own", "read_layers"]
+__all__ = ["LAYER", "Fan", "Rows", "Waves", "beside_own", "read_layers"]
 
 LAYER = 1.5
 """Thickness of a layer over the grain of its texture, so that it changes as fast along the axis as around it. Thicker
@@ -37,8 +37,11 @@ SHORTEST = 0.02
 INNERMOST = 3
 """Layers that meet at an axis, around which they are as thick as others are."""
 
-Read = Callable[[NDArray[np.int64], NDArray[np.intp]], NDArray[np.float32]]
-"""(R, 3). The texture of layers (R,) at some rows (R,) of the points."""
+Rows = NDArray[np.intp] | slice
+"""Some of the points, or all of them: a slice copies nothing."""
+
+Read = Callable[[NDArray[np.int64], Rows], NDArray[np.float32]]
+"""(R, 3). The texture of layers (R,) at some rows of the points."""
 
 
 class Waves:
@@ -61,7 +64,7 @@ def read_layers(height: NDArray[np.floating], read: Read) -> NDArray[np.float32]
     whole = np.floor(height)
     part = (height - whole - (1 - PASSING)) / PASSING
     layer = whole.astype(np.int64)
-    out = read(layer, np.arange(len(layer)))
+    out = read(layer, slice(None))
     rows = np.flatnonzero(part > 0)
     turn = np.pi / 2 * part[rows, None]
     out[rows] = np.cos(turn) * out[rows] + np.sin(turn) * read(layer[rows] + 1, rows)
@@ -88,11 +91,11 @@ class Fan:
         """(M, 3). The layered texture at points at a radius (M,) and angle (M,) in turns, with `waves` (M,) in
         thicknesses."""
 
-        def ring(rings: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
-            around = self._before(rings + 1) - self._before(rings)
+        def ring(rings: NDArray[np.int64], rows: Rows) -> NDArray[np.float32]:
+            around, these = self._before(rings + 1) - self._before(rings), np.arange(len(turn))[rows]
 
-            def layer(layers: NDArray[np.int64], some: NDArray[np.intp]) -> NDArray[np.float32]:
-                return read(self._before(rings[some]) + layers % around[some], rows[some])
+            def layer(layers: NDArray[np.int64], some: Rows) -> NDArray[np.float32]:
+                return read(self._before(rings[some]) + layers % around[some], these[some])
 
             return read_layers(turn[rows] * around + waves[rows], layer)
 

@@ -23,7 +23,7 @@ from training.priors.exemplar.layering.sheet import GROUND, HEIGHT, PICTURE, STR
 from training.priors.exemplar.outline import ANGLES, UNDER
 from training.priors.exemplar.record import MOST_SEED, RecordReader, nested
 from training.priors.exemplar.sampling import read_trilinear, smoothstep
-from training.priors.exemplar.strata import beside_own, read_layers
+from training.priors.exemplar.strata import Rows, beside_own, read_layers
 
 __all__ = ["Extrusion"]
 
@@ -199,7 +199,7 @@ class Extrusion:
         points = np.concatenate([places.place, upright[:, None]], axis=1) / self._radius
         height = places.level / grain.thickness + strata.waves.at(points.astype(np.float32))
 
-        def read(layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+        def read(layer: NDArray[np.int64], rows: Rows) -> NDArray[np.float32]:
             out, around = strata.draw(layer)
             out = swing * grain.share_a * out
             if not self.shape.is_round:
@@ -230,9 +230,11 @@ class Extrusion:
         at = place / (self._stretch * size) + phases + 0.5
         shrink = (1 - self._stretch) * size
 
-        def column(across: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
-            def patch(up: NDArray[np.int64], some: NDArray[np.intp]) -> NDArray[np.float32]:
-                these = rows[some]
+        def column(across: NDArray[np.int64], rows: Rows) -> NDArray[np.float32]:
+            of_column = np.arange(len(at))[rows]
+
+            def patch(up: NDArray[np.int64], some: Rows) -> NDArray[np.float32]:
+                these = of_column[some]
                 right, high = (shrink * (at[these] - 0.5 - np.stack([across[some], up], -1))).T
                 return self.sheet.read(x[these] + right, y[these] - high, TEXTURE)
 

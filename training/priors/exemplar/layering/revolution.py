@@ -15,7 +15,7 @@ from training.priors.exemplar.layering.places import Places, Shape
 from training.priors.exemplar.layering.sheet import GROUND, STRUCTURE, TEXTURE, THROUGH, Sheet
 from training.priors.exemplar.record import MOST_SEED, RecordReader, nested
 from training.priors.exemplar.sampling import smoothstep
-from training.priors.exemplar.strata import Fan, beside_own
+from training.priors.exemplar.strata import Fan, Rows, beside_own
 
 __all__ = ["Revolution"]
 
@@ -89,7 +89,7 @@ class Revolution:
         points = np.concatenate([places.place / shape.widest, places.height[:, None]], axis=1)
         waves, turn = strata.waves.at(points), places.angle / (2 * np.pi)
 
-        def read(layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+        def read(layer: NDArray[np.int64], rows: Rows) -> NDArray[np.float32]:
             u, v = swing[:, None] * strata.draw(layer)
             return self.sheet.read(x[rows] + u, y[rows] + v, TEXTURE)
 

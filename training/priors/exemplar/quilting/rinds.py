@@ -171,8 +171,8 @@ class Rinds:
         rows = np.flatnonzero((1 - length < REACH * self.ball.max()) & (length > 1e-3) & (length < 1))
         out, some, long = points.copy(), points[rows], length[rows]
         up = np.arcsin(np.clip(some[:, 2] / long, -1, 1))
-        turn = np.arctan2(some[:, 1], some[:, 0]) % (2 * np.pi)
-        at = (up / np.pi + 0.5) * LATITUDES, turn / (2 * np.pi) * LONGITUDES
+        turn = np.arctan2(some[:, 1], some[:, 0]) / (2 * np.pi)
+        at = (up / np.pi + 0.5) * LATITUDES, np.where(turn < 0, turn + 1, turn) * LONGITUDES
         here, in_quilt = read_bilinear(self.ball, *at).T
         out[rows] *= ((1 - _moved(1 - long, here, in_quilt)) / long)[:, None]
         return out

@@ -213,28 +213,24 @@ def _two_nearest(
     out: NDArray[np.int32],  # [P, 2]
     shares: NDArray[np.float32],  # [P, 2]
 ) -> None:
+    weights = np.empty(count, np.float32)
     for p in range(start, stop):
-        weights = np.zeros(count, np.float32)
+        weights[:] = 0
+        i, j, k = int(np.floor(at[p, 0])), int(np.floor(at[p, 1])), int(np.floor(at[p, 2]))
+        a, b, c = at[p, 0] - np.float32(i), at[p, 1] - np.float32(j), at[p, 2] - np.float32(k)
         for d in range(8):
-            weight = _F1
-            inside = True
-            n0, n1, n2 = 0, 0, 0
-            for a in range(3):
-                low = int(np.floor(at[p, a]))
-                part = at[p, a] - np.float32(low)
-                upper = d >> a & 1
-                weight *= part if upper else _F1 - part
-                low += upper
-                inside = inside and 0 <= low < number.shape[a]
-                if a == 0:
-                    n0 = low
-                elif a == 1:
-                    n1 = low
-                else:
-                    n2 = low
-            if inside and number[n0, n1, n2] >= 0:
-                weights[labels[number[n0, n1, n2]]] += weight
+            x, y, z = i + (d & 1), j + (d >> 1 & 1), k + (d >> 2)
+            if 0 <= x < number.shape[0] and 0 <= y < number.shape[1] and 0 <= z < number.shape[2]:
+                row = number[x, y, z]
+                if row >= 0:
+                    weight = a if d & 1 else _F1 - a
+                    weight *= b if d >> 1 & 1 else _F1 - b
+                    weight *= c if d >> 2 else _F1 - c
+                    weights[labels[row]] += weight
         for n in range(2):
-            best = weights.argmax()
+            best = 0
+            for label in range(1, count):
+                if weights[label] > weights[best]:
+                    best = label
             out[p, n], shares[p, n] = best, max(weights[best], np.float32(0))
             weights[best] = -1

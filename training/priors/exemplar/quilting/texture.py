@@ -29,7 +29,7 @@ from training.priors.exemplar.quilting.disc import (
     smooth_disc,
 )
 from training.priors.exemplar.sampling import blurred, lengths, smoothstep
-from training.priors.exemplar.strata import LAYER, Waves, read_layers
+from training.priors.exemplar.strata import LAYER, Rows, Waves, read_layers
 
 __all__ = ["FINE", "WIDTH", "Parts", "TextureField", "take_apart"]
 
@@ -130,8 +130,8 @@ class TextureField:
             height + self._waves.at(ball.points), lambda layer, rows: self._layer(ball, layer % count, rows)
         )
 
-    def _layer(self, ball: Ball, layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
-        """(R, 3). The texture of layers (R,) at some rows (R,) of the points."""
+    def _layer(self, ball: Ball, layer: NDArray[np.int64], rows: Rows) -> NDArray[np.float32]:
+        """(R, 3). The texture of layers (R,) at some rows of the points."""
         mirror = self._mirrors[layer]
         if self.is_horizontal:
             c, s = self._turns[layer].T

@@ -117,22 +117,26 @@ class Cores:
         them."""
         x, y, z = points.T
         colours, covered = np.zeros((len(rise), 3), np.float32), np.zeros(len(rise), np.float32)
-        change, left = np.zeros((len(rise), 3), np.float32), np.ones(len(rise), np.float32)
+        left = np.ones(len(rise), np.float32)
         for source, at, away in zip(self.along, right, off, strict=True):
             crossing = np.square(rise) / (np.square(rise) + np.square(CROSSING * away) + 1e-12)
             own, covers = crossing * (1 - _seen(away, THIN_ALONE)), _passed(source.core.depth_at(at, z))
-            colours += (own * covers * (1 - covered))[:, None] * source.disc.read(at, z)
-            covered += own * covers * (1 - covered)
+            shows = own * covers * (1 - covered)
+            rows = np.flatnonzero(shows)
+            colours[rows] += shows[rows, None] * source.disc.read(at[rows], z[rows])
+            covered += shows
             left *= 1 - own * (1 - covers)
-            if isinstance(source.core, Column):
-                change += source.core.change(at, away, z) / len(self.along)
         stretch = np.float32(1 / np.sqrt(max(1 - self.height**2, 0.1)))  # as `Ball.level` at the picture's height
         shown, deep = across.read(self.across.disc, stretch * x, stretch * y, rise)
         for source, at, away in zip(self.along, right, off, strict=True):
             if source.core.shape.any():
                 deep += (1 - _seen(away, EDGES)) * (source.core.depth_at(at, z) - deep)
         covers = _passed(deep) * left * (1 - covered)
-        return colours + covers[:, None] * (shown + change), covered + covers
+        rows = np.flatnonzero(covers)
+        for source, at, away in zip(self.along, right, off, strict=True):
+            if isinstance(source.core, Column):
+                shown[rows] += source.core.change(at[rows], away[rows], z[rows]) / len(self.along)
+        return colours + covers[:, None] * shown, covered + covers
 
 
 def find_cores(
