@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -105,8 +106,15 @@ class Tessellation:
         out = np.empty((len(points), 4), np.float32)
         walls = self.chambers.at(points)
         laid = *self.laid, self.room, self.beside, self.fixed
-        for_spans(_read, len(out), points, shown, walls, beside, *laid, *self.lattice, self.stamps, out)
+        for_spans(_read, len(out), points, shown, walls, beside, *laid, *self.lattice, self._balls, self.stamps, out)
         return out[:, :3], out[:, 3]
+
+    @cached_property
+    def _balls(self) -> NDArray[np.float32]:
+        """(B, 4). Middles and squared radii of the grains, in the order of the lattice's members: those that are looked
+        at together lie side by side."""
+        balls = np.concatenate([self.laid.middles, self.laid.axes[:, 1:] ** 2], axis=1)
+        return np.ascontiguousarray(balls[self.lattice.members])
 
     def reduced(self, n: int) -> Tessellation:
         """The same grains without the detail that pixels of the pictures n times as large do not show."""
@@ -143,29 +151,31 @@ def _read(
     cell: float,
     starts: NDArray[np.int64],  # [C + 1]
     members: NDArray[np.int64],  # [B]
+    balls: NDArray[np.float32],  # [B, 4]
     stamps: NDArray[np.float32],  # [T, S, S, 4]
     out: NDArray[np.float32],  # [M, 4]
 ) -> None:
-    """Shows the grain with the most power at each point: the square of its radius less that of the distance."""
+    """Shows the grain with the most power at each point: the square of its radius less that of the distance. No grain
+    reaches farther than half a cell, and one that does not reach the point has less power than one that does."""
     side, zero, one = lattice_side(cell), np.float32(0), np.float32(1)
+    reach = 0.5001 * cell  # rounding must not lose what ends at a cell's side
     for m in range(start, stop):
         for c in range(4):
             out[m, c] = zero
         if shown[m] <= zero:
             continue
-        x = int((points[m, 0] + np.float32(LATTICE)) / cell)
-        y = int((points[m, 1] + np.float32(LATTICE)) / cell)
-        z = int((points[m, 2] + np.float32(LATTICE)) / cell)
-        box = max(x - 1, 0), min(x + 2, side), max(y - 1, 0), min(y + 2, side), max(z - 1, 0), min(z + 2, side)
-        grain, most = -1, np.float32(-9)
-        for i in range(box[0], box[1]):
-            for j in range(box[2], box[3]):
-                for n in range(starts[(i * side + j) * side + box[4]], starts[(i * side + j) * side + box[5]]):
-                    power = _power(points, m, middles, axes, members[n])
+        x, y, z = points[m]
+        shown_by, most = -1, np.float32(-9)
+        first_z, last_z = _cells(z, reach, cell, side)
+        for i in range(*_cells(x, reach, cell, side)):
+            for j in range(*_cells(y, reach, cell, side)):
+                for n in range(starts[(i * side + j) * side + first_z], starts[(i * side + j) * side + last_z]):
+                    power = _power(x, y, z, balls[n])
                     if power > most:
-                        grain, most = members[n], power
-        if grain < 0:
+                        shown_by, most = n, power
+        if shown_by < 0:
             continue
+        grain = members[shown_by]
         radius = axes[grain, 1]
         away = np.sqrt(max(radius * radius - most, zero))
         ends = radius * np.float32(REACHES)
@@ -181,25 +191,31 @@ def _read(
                 continue
             share = max(share, one - here / max(room[grain] + bulge, THINNEST))
         # Along a ray from the grain's middle, its lead over another one's power falls evenly, to 0 at their border.
-        for i in range(box[0], box[1]):
-            for j in range(box[2], box[3]):
-                for n in range(starts[(i * side + j) * side + box[4]], starts[(i * side + j) * side + box[5]]):
-                    if members[n] != grain:
-                        first = radius * radius - _power(middles, grain, middles, axes, members[n])
-                        lead = most - _power(points, m, middles, axes, members[n])
+        u, v, w, power_there = balls[shown_by]
+        first_z, last_z = _cells(z, cell, cell, side)
+        for i in range(*_cells(x, cell, cell, side)):
+            for j in range(*_cells(y, cell, cell, side)):
+                for n in range(starts[(i * side + j) * side + first_z], starts[(i * side + j) * side + last_z]):
+                    if n != shown_by:
+                        first = power_there - _power(u, v, w, balls[n])
+                        lead = most - _power(x, y, z, balls[n])
                         share = max(share, one - lead / max(first, np.float32(1e-6)))
         cover = shown[m] * min(inside / BLEND, one)
         _show(points, m, middles, axes, long, short, grain, which, stamps, min(share, one), cover, out)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _power(points, m, middles, axes, grain):  # type: ignore[no-untyped-def]
+def _cells(at, reach, cell, side):  # type: ignore[no-untyped-def]
+    """The first of the lattice's cells that a place reaches along an axis, and the one after the last."""
+    low, high = (at + np.float32(LATTICE) - reach) / cell, (at + np.float32(LATTICE) + reach) / cell
+    return max(int(low), 0), min(int(high) + 1, side)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _power(x, y, z, ball):  # type: ignore[no-untyped-def]
     """The power of a grain at a point."""
-    away = np.float32(0)
-    for c in range(3):
-        d = points[m, c] - middles[grain, c]
-        away += d * d
-    return axes[grain, 1] * axes[grain, 1] - away
+    right, high, up = x - ball[0], y - ball[1], z - ball[2]
+    return ball[3] - (right * right + high * high + up * up)
 
 
 @njit(cache=True, nogil=True)
