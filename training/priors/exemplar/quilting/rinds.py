@@ -149,7 +149,7 @@ class Rinds:
         there = np.where(radius < 1, 1 - depth, radius)
         return Disc(disc.read(there * np.cos(turn), there * np.sin(turn)))
 
-    def at(self, points: NDArray[np.float32], length: NDArray[np.float32]) -> NDArray[np.float32]:
+    def at(self, points: NDArray[np.float32], length: NDArray[np.floating]) -> NDArray[np.float32]:
         """(M,). Depth of the quilt's rind towards points (M, 3) at these distances (M,) from the middle."""
         up = np.arcsin(np.clip(points[:, 2] / np.maximum(length, 1e-3), -1, 1))
         return _around(self.usual, up).astype(np.float32)
