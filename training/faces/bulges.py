@@ -9,13 +9,17 @@ the edge of the one in front runs through.
 
 from __future__ import annotations
 
+from itertools import combinations
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.solid.distance_transform import depth_in
-from training.faces.completion import NEAR_BORDER, fit_oval
+from training.faces.completion import NEAR_BORDER, Oval, fit_oval
 from training.faces.edges import (
+    BARE,
     EDGE_GAIN,
     HALF,
     MIXED,
@@ -29,7 +33,7 @@ from training.faces.edges import (
 )
 from training.faces.rays import Rays, diameter_of
 
-__all__ = ["find_front", "without_bulges"]
+__all__ = ["LOBE", "find_front", "without_bulges"]
 
 BAND = 0.07, 0.015
 """How far inside and outside of the oval the outline is searched, as fractions of the face's diameter: deeper than
@@ -50,6 +54,18 @@ NECKS = np.linspace(0.2, NECK, 27)
 AWAY = 0.15
 """Distance from where two things meet, over the neck's half width, from which an outline is surely one's own."""
 
+BAY, BAYS = 0.02, 4
+"""Least depth of a bay between two things that overlap, as a fraction of the diameter of both, and how many of the
+deepest are looked at. Two equal discs that hide half of each other have one of 0.08."""
+
+OVAL = 0.07
+"""Greatest misfit of the oval of either of them. Photographed faces before whole fruit have 0.004 to 0.04, the fruit up
+to 0.056; both parts of a single face between two bays only where it is a loaf (0.09), a pomegranate with a crown
+(0.096), or an apple's halves, between which there is no edge."""
+
+WHOLE = 0.9
+"""Fraction of a mask from which a thing in it is all but a stalk or a crown, which are no things of their own."""
+
 FRONT = 0.1
 """How far from its oval the edge of a thing in front of another is searched, as a fraction of its diameter. At half of
 that an edge costs twice as much, as the inner edge of a skin may be as strong as the outer one."""
@@ -63,33 +79,78 @@ as costly."""
 def find_front(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     """(H, W). That of several things in a mask (H, W) which is in front of the others, in a picture (H, W, 3), range
     [0, 1]; None if there is one thing."""
-    apart = _lobes(mask)
-    if apart is None:
-        return None
-    owner, neck = apart
     cost = edge_cost(edge_strength(rgb))
+    lobes = _lobes(mask)
+    if lobes:
+        edges = [_front_edge(cost, mask, guess) for guess in lobes]
+    else:
+        edges = [_front_edge(cost, mask, guess) for guess in _between_bays(mask)]
+        edges = [(along, face) for along, face in edges if _runs_through(cost, mask, face)]
+    found = [(along, face, skin_share(rgb, face)) for along, face in edges if face.any()]
+    if not found:
+        return None
+    most = max(skin for _, _, skin in found)
+    if most > HALF:  # the face, not a whole fruit, which has one colour
+        found = [one for one in found if one[2] > most - BARE]
+    least = min(along for along, _, _ in found)
+    likely = [one for one in found if one[0] <= ALIKE * least]
+    return max(likely, key=lambda one: (one[2] > HALF, one[1].sum()))[1]
+
+
+def _lobes(mask: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
+    """(H, W) each. Guesses of the things in a mask (H, W) that has necks between them."""
+    apart = _apart(mask)
+    if apart is None:
+        return []
+    owner, neck = apart
     rim = mask & ~ndimage.binary_erosion(mask)
-    found = []
+    guesses = []
     for lobe in np.unique(owner[mask]):
         own = mask & (owner == lobe)
         away = depth_in(~(mask & ~own))
         rows, columns = np.nonzero(rim & own & (away > max(MIXED, AWAY * neck)))
         oval = fit_oval(np.stack([columns, rows], -1))
-        if oval is None:
-            continue
-        within = oval.contains(np.moveaxis(np.indices(mask.shape, np.float64)[::-1], 0, -1) + 0.5)
-        guess = largest_component(mask & (within | (own & (away > neck))))
-        if guess.any():
-            found.append(_front_edge(cost, mask, guess))
-    found = [(along, face) for along, face in found if face.any()]
-    if not found:
-        return None
-    least = min(along for along, _ in found)
-    likely = [face for along, face in found if along <= ALIKE * least]
-    return max(likely, key=lambda face: (skin_share(rgb, face) > HALF, face.sum()))  # a whole fruit has one colour
+        if oval is not None:
+            guesses.append(largest_component(mask & (_within(oval, mask.shape) | (own & (away > neck)))))
+    return [guess for guess in guesses if guess.any()]
 
 
-def _lobes(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], float] | None:
+def _between_bays(mask: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
+    """(H, W) each. Guesses of the two things in a mask (H, W) that overlap by so much that there is no neck: both parts
+    of its outline between two of its deepest bays are those of ovals."""
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    outline = max(outlines, key=len)[:, 0]
+    defects = cv2.convexityDefects(outline, cv2.convexHull(outline, returnPoints=False))
+    if defects is None:
+        return []
+    shallowest = BAY * diameter_of(mask)
+    bays = [(depth / 256, at) for _, _, at, depth in defects.reshape(-1, 4).tolist()]  # in fixed point
+    deepest = sorted(at for depth, at in sorted(bays)[-BAYS:] if depth > shallowest)
+    guesses = []
+    for first, last in combinations(deepest, 2):
+        parts = np.roll(outline, -first, 0)[: last - first], np.roll(outline, -last, 0)[: len(outline) + first - last]
+        parts = [part[round(shallowest) : len(part) - round(shallowest)] for part in parts]
+        ovals = [oval for part in parts if (oval := fit_oval(part)) is not None and oval.misfit(part) < OVAL]
+        both = [largest_component(mask & _within(oval, mask.shape)) for oval in ovals]
+        if len(both) == len(parts) and all(1 - WHOLE < guess.sum() / mask.sum() < WHOLE for guess in both):
+            guesses += both
+    return guesses
+
+
+def _within(oval: Oval, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(H, W). The pixels of a picture in an oval."""
+    return oval.contains(np.moveaxis(np.indices(shape, np.float64)[::-1], 0, -1) + 0.5)
+
+
+def _runs_through(cost: NDArray[np.float64], mask: NDArray[np.bool_], face: NDArray[np.bool_]) -> bool:
+    """Whether a face (H, W) in a mask (H, W) ends there in an edge like that of the mask, by what its pixels cost."""
+    rim = face & ~ndimage.binary_erosion(face)
+    through = rim & (depth_in(np.pad(mask, 1))[1:-1, 1:-1] > 2 * MIXED)
+    outer = rim & ~through
+    return bool(through.any() and outer.any() and cost[through].mean() < EDGE_GAIN * cost[outer].mean())
+
+
+def _apart(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], float] | None:
     """(H, W) and pixels. The thing that each pixel is nearest to and the half width of the neck, if a mask (H, W) has
     several with a neck between them."""
     depth = depth_in(np.pad(mask, 1))[1:-1, 1:-1]

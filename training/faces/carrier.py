@@ -18,10 +18,10 @@ from scipy import ndimage
 from engine.errors import InputError
 from engine.solid.distance_transform import depth_in
 from training.faces.background import Background, find_background, find_main_surface, find_pattern, is_patterned
-from training.faces.bulges import find_front
+from training.faces.bulges import LOBE, find_front
 from training.faces.completion import NEAR_BORDER, find_oval
-from training.faces.edges import BARE, HALF, SKINNED, THIRD_COLOUR, largest_component, nearest, skin_share
-from training.faces.outline import MIN_CENTRAL, CutOffError, find_central, find_mask, is_dimmed_around, solidity
+from training.faces.edges import BARE, HALF, MIXED, SKINNED, THIRD_COLOUR, largest_component, nearest, skin_share
+from training.faces.outline import CHANCE, MIN_CENTRAL, CutOffError, find_central, find_mask, is_dimmed_around, solidity
 from training.faces.shadow import SHADE, light_around
 
 __all__ = ["SeenFace", "find_seen_face"]
@@ -92,6 +92,10 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
     without what the face lies on. Raises InputError as `find_mask` does."""
     plain = find_background(rgb)
     patterned = is_patterned(plain)
+    without = None if plain is None or patterned else _without_others(rgb, plain)
+    if without is not None:
+        found = find_seen_face(without, name)
+        return SeenFace(found.mask, found.note or _BESIDE)
     mask, refusal = (None, None) if patterned else _found_or_refused(rgb, name, plain)
     if mask is None:
         # Where a plate crosses the border, the face on it may well not.
@@ -146,6 +150,7 @@ def _found_or_refused(
 _LOOK = "see whether its outline is right"
 _ARM = f"what reaches from the border to the cut face is left out; {_LOOK}"
 _TOUCHING = f"something else seems to touch the cut face or to lie behind it, and is left out; {_LOOK}"
+_BESIDE = f"something else lies beside the cut face, and is left out; {_LOOK}"
 _BAYS = f"the outline of what was found has bays, as where something beside the cut face is taken for a part; {_LOOK}"
 _TAKEN_OFF = f"the cut face seems to lie on a plate or board, which is left out; {_LOOK}"
 _PATTERN = f"what is behind the cut face has several colours, which a face may share; {_LOOK}"
@@ -155,6 +160,21 @@ _BARE = (
     f"{_LOOK}"
 )
 _MAY_BE = f"what was found may be a plate or board with the cut face on it; {_LOOK}"
+
+
+def _without_others(rgb: NDArray[np.float32], plain: Background) -> NDArray[np.float32] | None:
+    """(H, W, 3). The picture without the things that lie apart from the face before a `plain` background; None if there
+    are none. The face is the largest of those with most of a skin: a whole fruit has one colour."""
+    parts, _ = ndimage.label(ndimage.binary_fill_holes(ndimage.binary_opening(~plain.shaded, iterations=2)))
+    peaks = ndimage.maximum(depth_in(parts > 0), parts, np.arange(parts.max() + 1))
+    things = [parts == number for number in np.flatnonzero(peaks > LOBE * peaks.max(initial=0))]
+    if len(things) < 2:
+        return None
+    skins = [skin_share(rgb, thing) for thing in things]
+    face = max((t for t, skin in zip(things, skins, strict=True) if skin > max(skins) - CHANCE), key=np.sum)
+    others = ndimage.binary_dilation(np.any([t for t in things if t is not face], axis=0), iterations=2 * MIXED)
+    ground = nearest(plain.shaded & ~others & ~ndimage.binary_dilation(face, iterations=2 * MIXED))
+    return np.where((others & ~face)[..., None], rgb[tuple(ground)], rgb)
 
 
 def _on_what_crosses_the_border(rgb: NDArray[np.float32], plain: Background | None) -> NDArray[np.bool_] | None:

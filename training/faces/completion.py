@@ -69,6 +69,12 @@ class Oval:
         """(..., 2). Places (..., 2) in pixels, mapped to the unit disc that the face is when seen straight on."""
         return (places - self.centre) @ (self.axes / np.square(self.axes).sum(1, keepdims=True)).T
 
+    def misfit(self, outline: NDArray[np.integer]) -> float:
+        """Root mean square difference of the pixels (N, 2) of an outline from the ellipse, as a fraction of its
+        radius."""
+        reach = np.linalg.norm(self.to_disc(outline + np.float64(0.5)), axis=1)
+        return float(np.sqrt(np.square(reach - 1).mean()))
+
 
 def is_cut_off(mask: NDArray[np.bool_]) -> bool:
     """Whether the picture's border visibly cuts off a face (H, W); a cut-out that fills its picture is whole."""
@@ -103,9 +109,8 @@ def find_oval(mask: NDArray[np.bool_], sides: int) -> Oval | None:
     oval = fit_oval(own)
     if oval is None:
         return None
-    reach = np.linalg.norm(oval.to_disc(own + np.float64(0.5)), axis=1)
     area = np.pi * np.linalg.norm(oval.axes, axis=1).prod()
-    if np.sqrt(np.square(reach - 1).mean()) > FIT or drawn.sum() < MIN_SEEN * area:
+    if oval.misfit(own) > FIT or drawn.sum() < MIN_SEEN * area:
         return None
     return oval
 

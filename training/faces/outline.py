@@ -38,7 +38,7 @@ from training.faces.edges import (
 from training.faces.shadow import SECTORS, SHADE, light_around
 from training.faces.side import without_side
 
-__all__ = ["MIN_CENTRAL", "CutOffError", "find_central", "find_mask", "is_dimmed_around", "solidity"]
+__all__ = ["CHANCE", "MIN_CENTRAL", "CutOffError", "find_central", "find_mask", "is_dimmed_around", "solidity"]
 
 MIN_SHARE = 0.02
 """Least fraction of the picture that a cut face covers; anything smaller is a crumb on an empty table."""
