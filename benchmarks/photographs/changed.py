@@ -196,6 +196,35 @@ def among_others(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
     return laid(shown, rgb, truth), truth
 
 
+def with_whole(right: float, down: float) -> Change:
+    """Before or beside a whole fruit, as shops show them: a ball as large as the face, in the colour of its skin, with
+    its middle by fractions of the width `right` of the face's and `down`."""
+
+    def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+        around = border_colour(rgb)
+        rgb, mask = tight(rgb, mask)
+        size = max(mask.shape)
+        margins = [
+            (round(0.2 * size + max(-shift, 0) * size), round(0.2 * size + max(shift, 0) * size))
+            for shift in (down, right)
+        ]
+        skin = np.median(rgb[mask & ~ndimage.binary_erosion(mask, iterations=max(2, size // 60))], axis=0)
+        face, truth = np.pad(rgb, (*margins, (0, 0))), np.pad(mask, margins)
+        rows, columns = (
+            axis - middle.mean() for axis, middle in zip(np.indices(truth.shape), np.nonzero(truth), strict=True)
+        )
+        x, y = 2 * columns / size - 2 * right, 2 * rows / size - 2 * down
+        z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
+        lambert = np.clip((z - 0.5 * x - 0.7 * y) / np.sqrt(1.74), 0, 1)
+        ball = np.clip(skin * (0.3 + 0.7 * lambert[..., None]) + 0.4 * lambert[..., None] ** 30, 0, 1).astype(
+            np.float32
+        )
+        shown = np.broadcast_to(around, face.shape).astype(np.float32)
+        return laid(laid(shown, ball, z > 0), face, truth), truth
+
+    return change
+
+
 def border_colour(rgb: Pixels) -> NDArray[np.float32]:
     """(3,). The median of the outermost pixels."""
     return np.asarray(np.median(np.concatenate([rgb[0], rgb[-1], rgb[:, 0], rgb[:, -1]]), axis=0))
@@ -227,6 +256,8 @@ CHANGES: dict[str, Change] = {
     "in a workshop": before("motorcycle_left.png"),
     "over another": overlapping,
     "among others": among_others,
+    "before a whole one": with_whole(0.35, -0.4),
+    "beside a whole one": with_whole(-1.15, -0.05),
 }
 
 
