@@ -33,7 +33,7 @@ from training.faces.edges import (
 )
 from training.faces.rays import Rays, diameter_of
 
-__all__ = ["LOBE", "find_front", "without_bulges"]
+__all__ = ["LOBE", "find_bays", "find_front", "without_bulges"]
 
 BAND = 0.07, 0.015
 """How far inside and outside of the oval the outline is searched, as fractions of the face's diameter: deeper than
@@ -118,23 +118,31 @@ def _lobes(mask: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
 def _between_bays(mask: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
     """(H, W) each. Guesses of the two things in a mask (H, W) that overlap by so much that there is no neck: both parts
     of its outline between two of its deepest bays are those of ovals."""
-    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    outline = max(outlines, key=len)[:, 0]
-    defects = cv2.convexityDefects(outline, cv2.convexHull(outline, returnPoints=False))
-    if defects is None:
-        return []
-    shallowest = BAY * diameter_of(mask)
-    bays = [(depth / 256, at) for _, _, at, depth in defects.reshape(-1, 4).tolist()]  # in fixed point
-    deepest = sorted(at for depth, at in sorted(bays)[-BAYS:] if depth > shallowest)
+    outline, bays = find_bays(mask)
+    near = round(BAY * diameter_of(mask))
     guesses = []
-    for first, last in combinations(deepest, 2):
-        parts = np.roll(outline, -first, 0)[: last - first], np.roll(outline, -last, 0)[: len(outline) + first - last]
-        parts = [part[round(shallowest) : len(part) - round(shallowest)] for part in parts]
+    for first, last in combinations(bays, 2):
+        halves = np.roll(outline, -first, 0)[: last - first], np.roll(outline, -last, 0)[: len(outline) + first - last]
+        parts = [half[near : len(half) - near] for half in halves]
         ovals = [oval for part in parts if (oval := fit_oval(part)) is not None and oval.misfit(part) < OVAL]
         both = [largest_component(mask & _within(oval, mask.shape)) for oval in ovals]
         if len(both) == len(parts) and all(1 - WHOLE < guess.sum() / mask.sum() < WHOLE for guess in both):
             guesses += both
     return guesses
+
+
+def find_bays(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], list[int]]:
+    """(N, 2). The outline of a mask (H, W) as (x, y), and where in it the deepest bays are, in order."""
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    outline = np.asarray(max(outlines, key=len)[:, 0], np.int32)
+    # Where an outline passes a place twice, the hull's corners may come out of order, which OpenCV refuses.
+    corners = np.sort(cv2.convexHull(outline[:, None], returnPoints=False), axis=0)
+    defects = cv2.convexityDefects(outline[:, None], corners) if len(corners) > 3 else None
+    if defects is None:
+        return outline, []
+    _, _, at, depth = defects.reshape(-1, 4).T
+    deepest = np.argsort(depth, kind="stable")[-BAYS:]
+    return outline, sorted(at[deepest][depth[deepest] / 256 > BAY * diameter_of(mask)].tolist())  # in fixed point
 
 
 def _within(oval: Oval, shape: tuple[int, ...]) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from scipy import ndimage
 from engine.errors import InputError
 from engine.solid.distance_transform import depth_in
 from training.faces.background import Background, find_background, find_main_surface, find_pattern, is_patterned
-from training.faces.bulges import LOBE, find_front
+from training.faces.bulges import LOBE, find_bays, find_front
 from training.faces.completion import NEAR_BORDER, find_oval
 from training.faces.edges import BARE, HALF, MIXED, SKINNED, THIRD_COLOUR, largest_component, nearest, skin_share
 from training.faces.outline import CHANCE, MIN_CENTRAL, CutOffError, find_central, find_mask, is_dimmed_around, solidity
@@ -91,11 +91,16 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
     """The cut face in a picture (H, W, 3), range [0, 1], and whether it may be something else: as `find_mask`, but
     without what the face lies on. Raises InputError as `find_mask` does."""
     plain = find_background(rgb)
+    without = None if plain is None or is_patterned(plain) else _without_others(rgb, plain)
+    if without is None:
+        return _find_alone(rgb, name, plain)
+    seen = _find_alone(without, name, find_background(without))
+    return SeenFace(seen.mask, seen.note or _BESIDE)
+
+
+def _find_alone(rgb: NDArray[np.float32], name: object, plain: Background | None) -> SeenFace:
+    """The same in a picture without other things apart from the face, before this background, if it is `plain`."""
     patterned = is_patterned(plain)
-    without = None if plain is None or patterned else _without_others(rgb, plain)
-    if without is not None:
-        found = find_seen_face(without, name)
-        return SeenFace(found.mask, found.note or _BESIDE)
     mask, refusal = (None, None) if patterned else _found_or_refused(rgb, name, plain)
     if mask is None:
         # Where a plate crosses the border, the face on it may well not.
@@ -130,6 +135,8 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
         if found is None:
             if skinned < HALF:
                 note = note or _BARE
+            elif skinned < SKINNED and len(find_bays(mask)[1]) > 1:
+                note = note or _BAYS
             elif lies > (skinned >= SKINNED):
                 note = note or _MAY_BE
             break

@@ -69,10 +69,10 @@ class Oval:
         """(..., 2). Places (..., 2) in pixels, mapped to the unit disc that the face is when seen straight on."""
         return (places - self.centre) @ (self.axes / np.square(self.axes).sum(1, keepdims=True)).T
 
-    def misfit(self, outline: NDArray[np.integer]) -> float:
+    def misfit(self, outline: NDArray[np.number]) -> float:
         """Root mean square difference of the pixels (N, 2) of an outline from the ellipse, as a fraction of its
         radius."""
-        reach = np.linalg.norm(self.to_disc(outline + np.float64(0.5)), axis=1)
+        reach = np.linalg.norm(self.to_disc(np.asarray(outline, np.float64) + 0.5), axis=1)
         return float(np.sqrt(np.square(reach - 1).mean()))
 
 
