@@ -22,6 +22,7 @@ from training.faces.bulges import LOBE, find_bays, find_front
 from training.faces.completion import NEAR_BORDER, find_oval
 from training.faces.edges import BARE, HALF, MIXED, SKINNED, THIRD_COLOUR, largest_component, nearest, skin_share
 from training.faces.outline import CHANCE, MIN_CENTRAL, CutOffError, find_central, find_mask, is_dimmed_around, solidity
+from training.faces.rays import diameter_of
 from training.faces.shadow import SHADE, light_around
 
 __all__ = ["SeenFace", "find_seen_face"]
@@ -50,6 +51,10 @@ ONE_SIDED, LAID = 0.65, 0.1
 """How one-sided the shadow of something without a visible skin must be, and the least fraction of the carrier that it
 must cover, to be taken for the face. Under light from a side they are 0.76 to 0.92, and a quarter or more, because
 people fill their plates. The dark surroundings of a core have 0 to 0.5, and pips and holes cover a hundredth."""
+
+GAP, FACING = 0.2, 0.3
+"""Width of a gap between parts of one thing, as a fraction of a part's diameter, and the least fraction of its outline
+that lies along one. Of two discs that touch 0.2 does, of two squares side by side 0.25, of two layers of a cake 0.4."""
 
 ARM = 1.15
 """Greatest thickness of an arm anywhere, over its width at the border."""
@@ -175,13 +180,19 @@ def _without_others(rgb: NDArray[np.float32], plain: Background) -> NDArray[np.f
     parts, _ = ndimage.label(ndimage.binary_fill_holes(ndimage.binary_opening(~plain.shaded, iterations=2)))
     peaks = ndimage.maximum(depth_in(parts > 0), parts, np.arange(parts.max() + 1))
     things = [parts == number for number in np.flatnonzero(peaks > LOBE * peaks.max(initial=0))]
-    if len(things) < 2:
+    if len(things) < 2 or any(_is_part(thing, np.any(things, axis=0) & ~thing) for thing in things):
         return None
     skins = [skin_share(rgb, thing) for thing in things]
     face = max((t for t, skin in zip(things, skins, strict=True) if skin > max(skins) - CHANCE), key=np.sum)
     others = ndimage.binary_dilation(np.any([t for t in things if t is not face], axis=0), iterations=2 * MIXED)
     ground = nearest(plain.shaded & ~others & ~ndimage.binary_dilation(face, iterations=2 * MIXED))
     return np.where((others & ~face)[..., None], rgb[tuple(ground)], rgb)
+
+
+def _is_part(thing: NDArray[np.bool_], others: NDArray[np.bool_]) -> bool:
+    """Whether much of a thing's outline (H, W) runs beside others (H, W), as between layers in the table's colour."""
+    rim = thing & ~ndimage.binary_erosion(thing)
+    return bool((depth_in(~others)[rim] < GAP * diameter_of(thing)).mean() > FACING)
 
 
 def _on_what_crosses_the_border(rgb: NDArray[np.float32], plain: Background | None) -> NDArray[np.bool_] | None:

@@ -218,6 +218,36 @@ def test_a_photographed_face_in_front_of_another(name: str) -> None:
     assert mask_iou(find_seen_face(photographed(picture), name).mask, truth) > 0.9
 
 
+def ball(under: NDArray, x: float, y: float, radius: float) -> NDArray:
+    """A whole fruit in a fruit's skin, lit from above."""
+    right, down = (X - x) / radius, (Y - y) / radius
+    toward = np.sqrt(np.maximum(1 - right**2 - down**2, 0))
+    lit = np.clip((toward - 0.5 * right - 0.7 * down) / np.sqrt(1.74), 0, 1)[..., None]
+    return lay(under, toward > 0, np.clip(np.array([0.75, 0.45, 0.1]) * (0.3 + 0.7 * lit) + 0.4 * lit**30, 0, 1))
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [((-0.1, -0.3), "seems to touch"), ((-0.3, -0.35), "seems to touch"), ((0.5, 0.05), "lies beside")],
+    ids=["half hidden", "mostly hidden", "beside"],
+)
+@pytest.mark.parametrize("name", ["drawn", "apple_h7", "orange_h1", "watermelon_h8"])
+def test_a_whole_fruit_is_no_part_of_a_face(name: str, place: tuple[float, float], told: str) -> None:
+    """Half hidden, it has no neck to the face; beside it, it is the larger of two things."""
+    picture = ball(table(), *place, 0.45)
+    if name == "drawn":
+        picture, truth = small_fruit(picture, -0.45)
+    else:
+        large = (cv2.resize(a.astype(np.float32), (SIZE, SIZE), interpolation=cv2.INTER_AREA) for a in real(name))
+        smaller = np.array([[0.42, 0, 0.065 * SIZE], [0, 0.42, 0.29 * SIZE]])
+        rgb, shown = (cv2.warpAffine(a, smaller, (SIZE, SIZE)) for a in large)
+        truth = shown > 0.5
+        picture = lay(picture, truth, rgb)
+    found = find_seen_face(photographed(picture), name)
+    assert mask_iou(found.mask, truth) > 0.9
+    assert told in found.note
+
+
 def bricks() -> NDArray:
     """A photograph of a wall, as scikit-image brings it along."""
     wall = cv2.resize(skimage.data.brick(), (SIZE, SIZE), interpolation=cv2.INTER_AREA)
