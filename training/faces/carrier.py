@@ -183,6 +183,9 @@ def _without_others(rgb: NDArray[np.float32], plain: Background) -> NDArray[np.f
     if len(things) < 2 or any(_is_part(thing, np.any(things, axis=0) & ~thing) for thing in things):
         return None
     skins = [skin_share(rgb, thing) for thing in things]
+    largest = skins[int(np.argmax([thing.sum() for thing in things]))]
+    if max(skins) < min(SKINNED, largest + BARE):  # pieces of a face in the table's colour, maybe
+        return None
     face = max((t for t, skin in zip(things, skins, strict=True) if skin > max(skins) - CHANCE), key=np.sum)
     others = ndimage.binary_dilation(np.any([t for t in things if t is not face], axis=0), iterations=2 * MIXED)
     ground = nearest(plain.shaded & ~others & ~ndimage.binary_dilation(face, iterations=2 * MIXED))
