@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
+from benchmarks.photographs.drawn import whole_fruit
 from benchmarks.photographs.faces import mask_iou
 from benchmarks.photographs.listed import parse_options
 from benchmarks.support.charts import ACCENT, OTHER, plt, save_chart
@@ -214,13 +215,9 @@ def with_whole(right: float, down: float) -> Change:
             axis - middle.mean() for axis, middle in zip(np.indices(truth.shape), np.nonzero(truth), strict=True)
         )
         x, y = 2 * columns / size - 2 * right, 2 * rows / size - 2 * down
-        z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
-        lambert = np.clip((z - 0.5 * x - 0.7 * y) / np.sqrt(1.74), 0, 1)
-        ball = np.clip(skin * (0.3 + 0.7 * lambert[..., None]) + 0.4 * lambert[..., None] ** 30, 0, 1).astype(
-            np.float32
-        )
+        ball, there = whole_fruit(x, y, skin)
         shown = np.broadcast_to(around, face.shape).astype(np.float32)
-        return laid(laid(shown, ball, z > 0), face, truth), truth
+        return laid(laid(shown, ball.astype(np.float32), there), face, truth), truth
 
     return change
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-__all__ = ["KINDS", "Kind"]
+__all__ = ["KINDS", "Kind", "whole_fruit"]
 
 Values: TypeAlias = NDArray[np.float64]
 Kind: TypeAlias = Callable[[Values, int], Values]
@@ -30,6 +30,14 @@ def blend(rgb: Values, colour: ArrayLike, share: Values) -> Values:
 def plain(at: Values, colour: ArrayLike) -> Values:
     """(..., 3). One colour everywhere."""
     return np.broadcast_to(np.asarray(colour, float), at.shape).copy()
+
+
+def whole_fruit(x: Values, y: Values, skin: ArrayLike) -> tuple[Values, NDArray[np.bool_]]:
+    """(H, W, 3) and (H, W). A ball with a skin of one colour, lit from the upper left, and where it is seen: where
+    places (H, W), (H, W), x to the right and y down, lie in the unit disc."""
+    z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
+    lit = np.clip((z - 0.5 * x - 0.7 * y) / np.sqrt(1.74), 0, 1)[..., None]
+    return np.clip(np.asarray(skin) * (0.3 + 0.7 * lit) + 0.4 * lit**30, 0, 1), z > 0
 
 
 def grain(at: Values, fine: float, number: int, amount: float) -> Values:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
+from benchmarks.photographs.drawn import whole_fruit
 from benchmarks.photographs.faces import mask_iou
 from engine.errors import InputError
 from tests.paths import SHARED
@@ -218,14 +219,6 @@ def test_a_photographed_face_in_front_of_another(name: str) -> None:
     assert mask_iou(find_seen_face(photographed(picture), name).mask, truth) > 0.9
 
 
-def ball(under: NDArray, x: float, y: float, radius: float) -> NDArray:
-    """A whole fruit in a fruit's skin, lit from above."""
-    right, down = (X - x) / radius, (Y - y) / radius
-    toward = np.sqrt(np.maximum(1 - right**2 - down**2, 0))
-    lit = np.clip((toward - 0.5 * right - 0.7 * down) / np.sqrt(1.74), 0, 1)[..., None]
-    return lay(under, toward > 0, np.clip(np.array([0.75, 0.45, 0.1]) * (0.3 + 0.7 * lit) + 0.4 * lit**30, 0, 1))
-
-
 @pytest.mark.parametrize(
     ("place", "told"),
     [((-0.1, -0.3), "seems to touch"), ((-0.3, -0.35), "seems to touch"), ((0.5, 0.05), "lies beside")],
@@ -234,7 +227,8 @@ def ball(under: NDArray, x: float, y: float, radius: float) -> NDArray:
 @pytest.mark.parametrize("name", ["drawn", "apple_h7", "orange_h1", "watermelon_h8"])
 def test_a_whole_fruit_is_no_part_of_a_face(name: str, place: tuple[float, float], told: str) -> None:
     """Half hidden, it has no neck to the face; beside it, it is the larger of two things."""
-    picture = ball(table(), *place, 0.45)
+    whole, there = whole_fruit((X - place[0]) / 0.45, (Y - place[1]) / 0.45, [0.75, 0.45, 0.1])
+    picture = lay(table(), there, whole)
     if name == "drawn":
         picture, truth = small_fruit(picture, -0.45)
     else:

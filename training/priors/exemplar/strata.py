@@ -37,7 +37,7 @@ SHORTEST = 0.02
 INNERMOST = 3
 """Layers that meet at an axis, around which they are as thick as others are."""
 
-Rows = NDArray[np.intp] | slice
+Rows = NDArray[np.bool_] | NDArray[np.intp] | slice
 """Some of the points, or all of them: a slice copies nothing."""
 
 Read = Callable[[NDArray[np.int64], Rows], NDArray[np.float32]]

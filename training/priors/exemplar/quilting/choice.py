@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.threads import side_by_side
-from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, Rows, smooth_noise
+from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, smooth_noise
 from training.priors.exemplar.quilting.disc import REACH, to_pixels
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs, read_maps
 from training.priors.exemplar.quilting.seams import labels_near, nearest_colour
 from training.priors.exemplar.quilting.things.core import Core
+from training.priors.exemplar.strata import Rows
 
 __all__ = ["Cells", "Question", "weigh_labels"]
 

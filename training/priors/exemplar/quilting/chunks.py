@@ -20,6 +20,7 @@ from training.priors.exemplar.noise import Noise
 from training.priors.exemplar.quilting.disc import REACH, read_map
 from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.sampling import smoothstep
+from training.priors.exemplar.strata import Rows
 
 __all__ = [
     "Ball",
@@ -28,7 +29,6 @@ __all__ = [
     "OwnAzimuths",
     "OwnHeight",
     "Places",
-    "Rows",
     "Sectors",
     "Slabs",
     "smooth_noise",
@@ -137,10 +137,6 @@ class Ball:
     def at(self, rows: Rows) -> Ball:
         """Some of the points."""
         return Ball(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-
-Rows = NDArray[np.bool_] | NDArray[np.intp] | slice
-"""Some of M points, or all of them: a slice copies nothing."""
 
 
 @dataclass(frozen=True)
