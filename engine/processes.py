@@ -1,4 +1,4 @@
-"""Starts Python child processes that run no code from the current folder; measures the memory of this process.
+"""Starts Python child processes that run no code from the current folder; the memory and the priority of this process.
 
 Users run `fruitninja` in the folder of a downloaded capture, together with whatever else its archive contained.
 `python -m` and the processes that multiprocessing starts would import from there first.
@@ -16,7 +16,7 @@ from typing import Any
 
 import psutil
 
-__all__ = ["HOME", "peak_memory", "safe_imports", "start_python"]
+__all__ = ["HOME", "peak_memory", "safe_imports", "start_python", "yield_to_others"]
 
 HOME = Path(__file__).resolve().parents[1]
 """The folder of this program, which is trusted as much as the program itself."""
@@ -29,6 +29,11 @@ def start_python(module: str, arguments: Sequence[str] = (), **options: Any) -> 
     from finding settings or shared libraries in the user's folder.
     """
     return subprocess.Popen([sys.executable, "-P", "-m", module, *arguments], cwd=HOME, **options)
+
+
+def yield_to_others() -> None:
+    """Gives other processes precedence over this one, and over the threads that it starts from now on."""
+    psutil.Process().nice(psutil.BELOW_NORMAL_PRIORITY_CLASS if sys.platform == "win32" else 10)
 
 
 @contextmanager

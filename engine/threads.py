@@ -16,8 +16,9 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
 
@@ -27,7 +28,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from threadpoolctl import threadpool_limits
 
-__all__ = ["cores", "for_each", "for_spans", "one_thread_for_blas", "side_by_side", "use_cores"]
+__all__ = ["cores", "for_each", "for_spans", "one_thread_for_blas", "one_thread_for_torch", "side_by_side", "use_cores"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -185,6 +186,20 @@ def one_thread_for_blas() -> None:
     if "OPENBLAS_NUM_THREADS" not in os.environ:
         os.environ["OPENBLAS_NUM_THREADS"] = "1"  # for libraries that are loaded from now on
         threadpool_limits(1, "blas")
+
+
+@contextmanager
+def one_thread_for_torch() -> Iterator[None]:
+    """Keeps torch's operations in this block on the thread that asks for them, as this module's threads need all cores;
+    afterwards torch has as many threads as before."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def for_each(kernel: Callable[..., Any], count: int, *args: Any) -> None:

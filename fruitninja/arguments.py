@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import cast, get_args
 
 import numpy as np
@@ -19,6 +19,7 @@ from training.settings import DetailName
 __all__ = [
     "PathLike",
     "PlaneLike",
+    "Progress",
     "Shape",
     "UpLike",
     "as_detail",
@@ -39,6 +40,9 @@ UpLike = str | Sequence[float] | NDArray[np.floating]
 
 Shape = Box | Sphere | Below
 """A shape that the command's --keep can name."""
+
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the part of it that is done, range [0, 1]."""
 
 
 def as_plane(given: PlaneLike) -> Plane:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from engine.isolate.selection import Sphere, isolated, without_surroundings
 from engine.isolate.surroundings import object_ball
 from engine.scene.gaussians import Gaussians
 from engine.solid.up_axis.detect import detect_up
-from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_seed, as_up
+from fruitninja.arguments import PathLike, Progress, Shape, UpLike, as_detail, as_isolation, as_seed, as_up
 from fruitninja.solid import Solid, Whole
 from training.settings import DETAILS
 
@@ -83,25 +83,42 @@ class Capture:
         return None if found is None else Sphere(*found)
 
     def solidify(
-        self, *, detail: str = "standard", up: UpLike | None = None, keep: Iterable[Shape] = (), seed: int = 0
+        self,
+        *,
+        detail: str = "standard",
+        up: UpLike | None = None,
+        keep: Iterable[Shape] = (),
+        seed: int = 0,
+        progress: Progress | None = None,
     ) -> Solid:
-        """Makes a solid that is grey inside, for cutting and measuring without pictures. Bit-equal for equal arguments.
+        """Makes a solid that is grey inside, for cutting and measuring without pictures; its skin is fitted to the
+        capture as `grow` does. Bit-equal for equal arguments.
 
         `detail`: draft, standard or high. `up`: x, y, z, -x, -y, -z or a vector (3,); None: detected. `keep`: shapes
-        that contain the object; what lies outside all of them is left out. Raises Error if the capture encloses
-        nothing.
+        that contain the object; what lies outside all of them is left out. `progress` may raise an exception to end the
+        work, which is passed on. Raises Error if the capture encloses nothing.
         """
-        # This imports torch, which those who only look at solids need not wait for.
+        # These import torch, which those who only look at solids need not wait for.
         from engine.solid.solidify import find_enclosure, solidify
+        from training.skin import match_skin
+
+        def report(stage: str, part: float = 0.0) -> None:
+            if progress is not None:
+                progress(stage, part)
 
         fineness, axis, isolation = DETAILS[as_detail(detail)], as_up(up), as_isolation(keep)
         seed = as_seed(seed)
         gaussians, _ = isolated(self.gaussians, isolation, self.path.name)
+        report("body")
         enclosure = find_enclosure(gaussians, fineness.cells, self.path.name)
         if axis is None:  # detected before isolation: even a floor that is left out shows which way is up
             x, y, z = detect_up(without_surroundings(self.gaussians), self.scene.file_axes).axis.tolist()
             axis = x, y, z
+        report("atomise")
         atoms, _ = solidify(enclosure, fineness.cells, fineness.tolerance, seed)
+        report("refit")
+        refit = partial(report, "refit")
+        atoms = match_skin(atoms, enclosure.shell, enclosure.body, np.array(axis), fineness, seed, refit)
         meta = Meta(
             axis,
             seed=seed,

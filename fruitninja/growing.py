@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,17 +13,15 @@ from typing import Any
 from engine.errors import InputError
 from engine.io.files import locked_folder
 from engine.io.trained import load_trained
-from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_seed, as_up
+from engine.threads import one_thread_for_torch
+from fruitninja.arguments import PathLike, Progress, Shape, UpLike, as_detail, as_isolation, as_seed, as_up
 from fruitninja.capture import Capture
 from fruitninja.solid import Solid, Whole
 from training.cli import parse_families
 from training.events import Reporter
 from training.request import Request
 
-__all__ = ["Progress", "grow"]
-
-Progress = Callable[[str, float], None]
-"""Called with the name of a stage and the part of it that is done, range [0, 1]."""
+__all__ = ["grow"]
 
 Pictures = PathLike | Sequence[PathLike]
 """Pictures of cut faces, or folders of them; a single one needs no list."""
@@ -88,18 +86,12 @@ def _listed(pictures: Pictures) -> Sequence[PathLike]:
 
 def _trained(request: Request, out: Path, listener: _Listener) -> Whole:
     """The run's result as read from its file, but with the inside in memory: reading that one too takes seconds."""
-    import torch  # takes a second, which those who only look at solids need not wait for
+    from training.pipeline import Pipeline  # imports torch: a second that those who only look at solids need not wait
 
-    from training.pipeline import Pipeline
-
-    threads = torch.get_num_threads()
-    try:
-        with locked_folder(out):
-            pipeline = Pipeline(request, out, listener, lambda: False)
-            path = pipeline.run(resume=False)
-            return Whole(*load_trained(path), pipeline.inside, path)
-    finally:
-        torch.set_num_threads(threads)  # training leaves it at one, and the caller's own work may want them all
+    with one_thread_for_torch(), locked_folder(out):
+        pipeline = Pipeline(request, out, listener, lambda: False)
+        path = pipeline.run(resume=False)
+        return Whole(*load_trained(path), pipeline.inside, path)
 
 
 class _Listener(Reporter):

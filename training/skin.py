@@ -13,6 +13,7 @@ from engine.fit.skin_fit import SkinFit
 from engine.scene.atoms import Atoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
+from engine.threads import one_thread_for_torch
 from training.checkpoint import CHECKPOINT_SECONDS, Checkpoint
 from training.priors.prior import Progress
 from training.request import Geometry, Interrupted, Request
@@ -26,19 +27,27 @@ DRAWN = 0.2
 
 
 def match_skin(
-    atoms: Atoms, gaussians: Gaussians, body: Body, up: NDArray[np.float64], detail: Detail, seed: int
+    atoms: Atoms,
+    gaussians: Gaussians,
+    body: Body,
+    up: NDArray[np.float64],
+    detail: Detail,
+    seed: int,
+    progress: Progress = lambda part: None,
 ) -> Atoms:
     """The atoms with a skin that looks like the capture of a body: colours in closed form, then the geometry too.
 
-    Training does the same with checkpoints.
+    Training does the same with checkpoints. `progress` may raise an exception, which is passed on.
     """
-    cameras = surface_cameras(gaussians, up, detail.surface_views, detail.surface)
-    atoms = fit_sh(atoms, surface_views(atoms, gaussians, cameras, ENTRIES)).atoms
-    cameras = surface_cameras(gaussians, up, detail.skin_views, detail.skin_size)
-    fit = SkinFit(atoms, gaussians, body, cameras, detail.skin_steps, seed)
-    while fit.step < fit.steps:
-        fit.advance()
-    return fit.result()
+    with one_thread_for_torch():
+        cameras = surface_cameras(gaussians, up, detail.surface_views, detail.surface)
+        atoms = fit_sh(atoms, surface_views(atoms, gaussians, cameras, ENTRIES)).atoms
+        cameras = surface_cameras(gaussians, up, detail.skin_views, detail.skin_size)
+        fit = SkinFit(atoms, gaussians, body, cameras, detail.skin_steps, seed, lambda part: progress(DRAWN * part))
+        while fit.step < fit.steps:
+            fit.advance()
+            progress(DRAWN + (1 - DRAWN) * fit.step / fit.steps)
+        return fit.result()
 
 
 def fit_geometry(

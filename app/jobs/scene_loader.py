@@ -51,6 +51,8 @@ class SceneRequest:
     """The parts of the scene that do not belong to the object."""
     opened: bool = False
     """Whether the scene has just been opened, so that nobody has isolated the object yet: surroundings are left out."""
+    refit: bool = False
+    """Whether the object is shown already, so that only a skin fitted as closely as training does is wanted."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,8 @@ class LoadedObject:
     """What the user should know about the scene, one line each."""
     trained: bool = False
     """Whether the inside has been trained."""
+    rough: bool = False
+    """Whether the skin can still be fitted more closely."""
     coarse: Gaussians | None = None
     """Some of a large capture's Gaussians, enlarged, to be shown until all are loaded."""
     drawn: Drawable | None = None
@@ -91,9 +95,11 @@ class SceneLoader:
     """Loads one scene. `poll` delivers it step by step: the capture, preceded by a sample if it is large, then the
     atoms. Of a trained object, the atoms come first."""
 
-    def __init__(self, request: SceneRequest) -> None:
+    def __init__(self, request: SceneRequest, shown: LoadedObject | None = None) -> None:
+        """`shown`: what is shown of the object already, if it is only to be fitted again."""
         self.request = request
-        self.stage = _("Opening {name}").format(name=request.scene.name)
+        opening = _("Opening {name}").format(name=request.scene.name)
+        self.stage = _("Matching the skin in detail") if request.refit else opening
         """What is being done, in words."""
         self.fraction = 0.0
         """Part that is done. Range [0, 1]."""
@@ -102,7 +108,7 @@ class SceneLoader:
         self.ended = False
         self.announced = False
         """Whether the user has been told that the object can be cut."""
-        self.scene = LoadedObject(request)
+        self.scene = LoadedObject(request) if shown is None else replace(shown, request=request)
         self._queue: queue.SimpleQueue[tuple[dict[str, Any], dict[str, Any]]] = queue.SimpleQueue()
         self._scratch = Scratch("fruitninja-")
         pipe = subprocess.PIPE
@@ -119,6 +125,7 @@ class SceneLoader:
         message: dict[str, Any] = {"scene": str(request.scene.absolute()), "folder": str(self._scratch.path)}
         message |= {"detail": request.detail, "seed": request.seed, "trained": trained}
         message |= {"isolation": isolation_record(request.isolation), "opened": request.opened}
+        message |= {"refit": request.refit}
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.write((json.dumps(message) + "\n").encode())
@@ -180,6 +187,7 @@ class SceneLoader:
             solid=arrays["solid"],
             notes=notes,
             trained=facts["trained"],
+            rough=facts["rough"],
         )
         if "up" in facts:  # a trained object, whose atoms come before its capture
             x, y, z = facts["up"]
@@ -189,16 +197,17 @@ class SceneLoader:
         """Reads the lines, and the files that they name, in a thread of its own."""
         assert self._process.stdout is not None
         ended = False
-        for text in self._process.stdout:
-            try:
-                line = json.loads(text)
-            except ValueError:
-                continue  # printed by a library
-            arrays = _prepared(line, map_arrays(Path(line["file"]))) if "file" in line else {}
-            ended = ended or bool(line.get("end"))
-            self._queue.put((line, arrays))
-            if line.get("ready") == "atoms" and line["facts"]["trained"]:
-                self._read_inside()
+        with self._process.stdout as lines:
+            for text in lines:
+                try:
+                    line = json.loads(text)
+                except ValueError:
+                    continue  # printed by a library
+                arrays = _prepared(line, map_arrays(Path(line["file"]))) if "file" in line else {}
+                ended = ended or bool(line.get("end"))
+                self._queue.put((line, arrays))
+                if line.get("ready") == "atoms" and line["facts"]["trained"]:
+                    self._read_inside()
         self._process.wait()
         if not ended:
             self._threads[1].join(1.0)
@@ -228,8 +237,9 @@ class SceneLoader:
     def _collect_errors(self) -> None:
         """Keeps the end of what the process writes to standard error, to explain a crash."""
         assert self._process.stderr is not None
-        for line in self._process.stderr:
-            self._errors = (self._errors + line)[-4096:]
+        with self._process.stderr as lines:
+            for line in lines:
+                self._errors = (self._errors + line)[-4096:]
 
 
 def _prepared(line: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import importlib
 import json
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from engine.io.load import load
 from engine.io.trained import is_trained, load_trained
 from engine.isolate.record import isolation_record, read_isolation
 from engine.isolate.selection import NO_SURROUNDINGS, Isolation, removed
+from engine.processes import yield_to_others
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
@@ -47,7 +49,7 @@ SKIN_PITCHES = 2.0
 
 DRAFT = DETAILS["draft"]
 """Detail of the first solid, which can be cut while the finer one is made, and of the fit of the skin: good enough to
-look at until training fits it better, and done in seconds."""
+look at until it is fitted better, and done in seconds."""
 
 
 def main() -> None:
@@ -56,10 +58,12 @@ def main() -> None:
     folder, path = Path(request["folder"]), Path(request["scene"])
     try:
         trained = request["trained"]
-        if is_trained(path):
+        isolation = read_isolation(Fields(path, "request"), request["isolation"])
+        if request["refit"]:
+            _refit(path, isolation, DETAILS[request["detail"]], request["seed"], folder)
+        elif is_trained(path):
             _send_trained(path, folder, capture=True)
         else:
-            isolation = read_isolation(Fields(path, "request"), request["isolation"])
             gaussians, up = _load_capture(path, folder, request["seed"], None if request["opened"] else isolation)
             if trained is not None:
                 _send_trained(Path(trained), folder, capture=False)
@@ -116,24 +120,36 @@ def _left_out(gaussians: Gaussians, isolation: Isolation | None) -> tuple[Isolat
 
 
 def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, seed: int, folder: Path) -> None:
-    facts = {"notes": list(enclosure.notes), "trained": False}
-
-    def make_solid(detail: Detail) -> Atoms:
-        atoms, body = solidify(enclosure, detail.cells, detail.tolerance, seed)
-        plain = plain_inside(atoms.surface, atoms.interior, body, atoms.pitch)
-        atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
-        _send_atoms(folder, atoms, facts)
-        return atoms
-
+    """Sends the solid three times: coarse, fine, and with a skin that is fitted in seconds."""
+    facts = {"notes": list(enclosure.notes), "trained": False, "rough": False}
     _write_line(stage=_("Making it solid"), part=0.3)
     if detail.cells > DRAFT.cells:
-        make_solid(DRAFT)
+        _send_atoms(folder, plain_solid(enclosure, DRAFT, seed), facts)
         # From here on the object can be cut; what follows only makes it look like the capture.
         load_torch()
         _write_line(stage=_("Making it finer"), part=0.4)
-    atoms = make_solid(detail)
+    atoms = plain_solid(enclosure, detail, seed)
+    _send_atoms(folder, atoms, facts)
     _write_line(stage=_("Matching the skin"), part=0.6)
-    _send_atoms(folder, matched(atoms, enclosure, up, seed), facts)
+    facts["rough"] = detail.skin_steps > DRAFT.skin_steps
+    _send_atoms(folder, matched(atoms, enclosure, up, DRAFT, seed), facts)
+
+
+def _refit(path: Path, isolation: Isolation, detail: Detail, seed: int, folder: Path) -> None:
+    """Sends the solid of a capture that is shown already, with a skin that is fitted as closely as training does."""
+
+    def report(part: float) -> None:
+        _write_line(part=0.1 + 0.9 * part)
+
+    yield_to_others()
+    loaded = load(path, seed)
+    gone, seen = _left_out(loaded.gaussians, isolation)[1:]
+    up = detect_up(seen, loaded.file_axes).axis
+    enclosure = find_enclosure(loaded.gaussians[~gone] if gone.any() else loaded.gaussians, detail.cells, path.name)
+    del loaded, seen  # once there is a shell, a large capture need not stay in memory
+    report(0.0)
+    atoms = matched(plain_solid(enclosure, detail, seed), enclosure, up, detail, seed, report)
+    _send_atoms(folder, atoms, {"notes": list(enclosure.notes), "trained": False, "rough": False})
 
 
 def load_torch() -> None:
@@ -141,14 +157,25 @@ def load_torch() -> None:
     threading.Thread(target=importlib.import_module, args=("torch",), daemon=True).start()
 
 
-def matched(atoms: Atoms, enclosure: Enclosure, up: NDArray[np.float64], seed: int) -> Atoms:
+def plain_solid(enclosure: Enclosure, detail: Detail, seed: int) -> Atoms:
+    """The solid that an enclosure makes, with a plain inside and a skin that is not fitted."""
+    atoms, body = solidify(enclosure, detail.cells, detail.tolerance, seed)
+    plain = plain_inside(atoms.surface, atoms.interior, body, atoms.pitch)
+    return replace(atoms, interior=replace(atoms.interior, rgb=plain))
+
+
+def matched(
+    atoms: Atoms,
+    enclosure: Enclosure,
+    up: NDArray[np.float64],
+    detail: Detail,
+    seed: int,
+    progress: Callable[[float], None] = lambda part: None,
+) -> Atoms:
     """The atoms with a skin that looks more like the capture."""
-    import torch
+    from training.skin import match_skin  # imports torch, which the first solid does not wait for
 
-    from training.skin import match_skin
-
-    torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them
-    return match_skin(atoms, enclosure.shell, enclosure.body, up, DRAFT, seed)
+    return match_skin(atoms, enclosure.shell, enclosure.body, up, detail, seed, progress)
 
 
 def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:
@@ -169,7 +196,7 @@ def _send_trained(path: Path, folder: Path, capture: bool) -> None:
     _write_line(stage=_("Reading {name}").format(name=path.name), part=0.3)
     atoms, meta = load_trained(path)
     axis: dict[str, Any] = {"up": list(meta.up), "reason": "as trained"} if capture else {}
-    _send_atoms(folder, atoms, {"notes": [], "trained": True, **axis})
+    _send_atoms(folder, atoms, {"notes": [], "trained": True, "rough": False, **axis})
     if capture:  # after the atoms: a trained object is shown solid, and drawing the file's Gaussians takes longer
         gaussians = load(path).gaussians
         nothing = np.zeros(len(gaussians), bool)

@@ -55,7 +55,8 @@ class SceneController:
             and (document.number in self._interrupted or document.isolation != made.get(document.number))
         ]
         numbers = {document.number for document in documents} - {document.number for document in stale}
-        waiting = workspace.loader is not None and self._loading in numbers
+        loader = workspace.loader
+        waiting = loader is not None and not loader.request.refit and self._loading in numbers
         return stale[0] if stale and not (waiting and len(documents) > 1) else None
 
     def load(self, result: Path | None = None, document: Document | None = None, opened: bool = False) -> None:
@@ -63,7 +64,7 @@ class SceneController:
         place. `opened`: whether to leave out its surroundings, if there are any."""
         workspace = self.workspace
         document = document or workspace.document
-        if workspace.loader is not None:
+        if workspace.loader is not None and not self.stop_refit():
             workspace.loader.cancel()
             self._interrupted.add(self._loading)
         self._interrupted.discard(document.number)
@@ -82,12 +83,50 @@ class SceneController:
             workspace.loader = None
             workspace.show_error(error)
 
+    @property
+    def rough(self) -> Document | None:
+        """An object whose skin can still be fitted more closely, the active one first; None if there is none."""
+        workspace = self.workspace
+        documents = sorted(workspace.documents, key=lambda document: document is not workspace.document)
+        loaded = workspace.loaded
+        return next((d for d in documents if d.number in loaded and loaded[d.number].rough), None)
+
+    def refit(self, document: Document) -> None:
+        """Starts to fit the skin of a solid that is shown as closely as training does."""
+        workspace, shown = self.workspace, self.workspace.loaded[document.number]
+        request = replace(shown.request, refit=True)
+        self._isolations[document.number], self._loading = request.isolation, document.number
+        try:
+            workspace.loader = SceneLoader(request, shown)
+        except InputError as error:  # no space for temporary files
+            self._accept_skin()
+            workspace.show_error(error)
+            return
+        workspace.loader.announced = True
+
+    def stop_refit(self) -> bool:
+        """Stops fitting the skin of a solid that is shown, if that is being done, until there is nothing else to do;
+        whether it was."""
+        loader = self.workspace.loader
+        if loader is None or not loader.request.refit:
+            return False
+        loader.cancel()
+        self.workspace.loader = None
+        return True
+
+    def _accept_skin(self) -> None:
+        """Leaves the skin of the object that was loaded last as it is."""
+        loaded = self.workspace.loaded
+        if self._loading in loaded:
+            loaded[self._loading] = replace(loaded[self._loading], rough=False)
+
     def cancel(self) -> None:
         """Stops loading; what was loaded stays."""
         if self.workspace.loader is not None:
             self.workspace.loader.cancel()
             self.workspace.loader = None
             self.strokes.clear()
+            self._accept_skin()
             self.workspace.notify(_("Stopped."))
 
     def tick(self) -> bool:
@@ -101,6 +140,7 @@ class SceneController:
         if loader.ended:
             if loader.error:
                 workspace.show_error(loader.error)
+                self._accept_skin()
             workspace.loader = None
         return changed
 

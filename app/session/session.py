@@ -65,6 +65,8 @@ class Session(Workspace):
         outdated = self.scene.outdated
         if outdated is not None:
             self.training.prepare_again(outdated)
+        elif self.loader is None and not self.training.running and (rough := self.scene.rough) is not None:
+            self.scene.refit(rough)
         if self.scene.tick():
             self.training.recolour()
         if self.scene.strokes and not self.being_made:

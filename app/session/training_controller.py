@@ -56,6 +56,11 @@ class TrainingController:
         """The jobs of all objects."""
         return [followed.job for followed in self._followed.values()]
 
+    @property
+    def running(self) -> bool:
+        """Whether a process trains any of the objects."""
+        return any(not job.ended for job in self.jobs)
+
     def forget(self) -> None:
         """Stops following all jobs, since another scene follows."""
         self._followed.clear()
@@ -176,6 +181,7 @@ class TrainingController:
             self._next_colours = 0.0
 
     def _follow(self, job: Job, number: int) -> None:
+        self.scene.stop_refit()  # training fits the skin as well
         self._followed[number] = Followed(job, LiveColours(job.out), job.phase)
         self._next_events = self._next_colours = 0.0
 

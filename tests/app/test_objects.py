@@ -98,7 +98,8 @@ def test_strokes_through_what_is_not_solid_yet_are_done_when_it_is(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Loading:
-        ended, announced, error, scene = False, False, "", LoadedObject(SceneRequest(Path("two.ply")))
+        request = SceneRequest(Path("two.ply"))
+        ended, announced, error, scene = False, False, "", LoadedObject(request)
 
         def poll(self) -> bool:
             return False

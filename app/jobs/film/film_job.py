@@ -151,15 +151,16 @@ class FilmJob:
             process.stdin.write((json.dumps(message) + "\n").encode())
             process.stdin.flush()  # stdin stays open: the process stops when it is closed
         done = False
-        for text in process.stdout:
-            try:
-                line = json.loads(text)
-            except ValueError:
-                continue  # printed by a library
-            self.fraction = float(line.get("part", self.fraction))
-            self.error = str(line.get("error", self.error))
-            self.frames = int(line.get("frames", self.frames))
-            done = done or "error" in line or "frames" in line
+        with process.stdout as lines:
+            for text in lines:
+                try:
+                    line = json.loads(text)
+                except ValueError:
+                    continue  # printed by a library
+                self.fraction = float(line.get("part", self.fraction))
+                self.error = str(line.get("error", self.error))
+                self.frames = int(line.get("frames", self.frames))
+                done = done or "error" in line or "frames" in line
         process.wait()
         if not done:
             last = self._errors.decode("utf-8", "replace").strip().splitlines()[-1:] or ["it gave no reason"]
@@ -168,8 +169,9 @@ class FilmJob:
     def _collect_errors(self, process: subprocess.Popen[bytes]) -> None:
         """Keeps the end of what the process writes to standard error, to explain a crash."""
         assert process.stderr is not None
-        for line in process.stderr:
-            self._errors = (self._errors + line)[-4096:]
+        with process.stderr as lines:
+            for line in lines:
+                self._errors = (self._errors + line)[-4096:]
 
     def _clear(self) -> None:
         """Leaves neither a process nor files behind, even if the app ends before the film."""
