@@ -209,7 +209,7 @@ def with_whole(right: float, down: float) -> Change:
             (round(0.2 * size + max(-shift, 0) * size), round(0.2 * size + max(shift, 0) * size))
             for shift in (down, right)
         ]
-        skin = np.median(rgb[mask & ~ndimage.binary_erosion(mask, iterations=max(2, size // 60))], axis=0)
+        skin = skin_colour(rgb, mask)
         face, truth = np.pad(rgb, (*margins, (0, 0))), np.pad(mask, margins)
         rows, columns = (
             axis - middle.mean() for axis, middle in zip(np.indices(truth.shape), np.nonzero(truth), strict=True)
@@ -220,6 +220,36 @@ def with_whole(right: float, down: float) -> Change:
         return laid(laid(shown, ball.astype(np.float32), there), face, truth), truth
 
     return change
+
+
+def as_half(angle: float) -> Change:
+    """On half a ball as wide as the face, in the colour of its skin, seen at this angle in degrees from above."""
+
+    def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+        around = border_colour(rgb)
+        rgb, mask = tight(rgb, mask)
+        skin, wide = skin_colour(rgb, mask), mask.shape[1]
+        size = wide, max(round(mask.shape[0] * np.cos(np.radians(angle))), 2)
+        face, there = (
+            np.asarray(cv2.resize(a, size, interpolation=cv2.INTER_AREA), np.float32)
+            for a in (rgb, mask.astype(np.float32))
+        )
+        margins = (wide // 5, wide), (wide // 5, wide // 5)
+        face, truth = np.pad(face, (*margins, (0, 0))), np.pad(there, margins) > 0.5
+        rows, columns = (
+            axis - middle.mean() for axis, middle in zip(np.indices(truth.shape), np.nonzero(truth), strict=True)
+        )
+        ball, seen = whole_fruit(2 * columns / wide, 2 * rows / wide, skin)
+        shown = np.broadcast_to(around, face.shape).astype(np.float32)
+        return laid(laid(shown, ball.astype(np.float32), seen & (rows > 0)), face, truth), truth
+
+    return change
+
+
+def skin_colour(rgb: Pixels, mask: Mask) -> NDArray[np.float32]:
+    """(3,). The median along the outline of a face."""
+    rim = mask & ~ndimage.binary_erosion(mask, iterations=max(2, max(mask.shape) // 60))
+    return np.asarray(np.median(rgb[rim], axis=0))
 
 
 def border_colour(rgb: Pixels) -> NDArray[np.float32]:
@@ -255,6 +285,8 @@ CHANGES: dict[str, Change] = {
     "among others": among_others,
     "before a whole one": with_whole(0.35, -0.4),
     "beside a whole one": with_whole(-1.15, -0.05),
+    "on half a ball at 35 degrees": as_half(35),
+    "on half a ball at 55 degrees": as_half(55),
 }
 
 

@@ -21,9 +21,19 @@ from training.faces.background import Background, find_background, find_main_sur
 from training.faces.bulges import LOBE, find_bays, find_front
 from training.faces.completion import NEAR_BORDER, find_oval
 from training.faces.edges import BARE, HALF, MIXED, SKINNED, THIRD_COLOUR, largest_component, nearest, skin_share
-from training.faces.outline import CHANCE, MIN_CENTRAL, CutOffError, find_central, find_mask, is_dimmed_around, solidity
+from training.faces.outline import (
+    CHANCE,
+    MIN_CENTRAL,
+    CutOffError,
+    find_central,
+    find_mask,
+    is_dimmed_around,
+    solidity,
+    trace,
+)
 from training.faces.rays import diameter_of
 from training.faces.shadow import SHADE, light_around
+from training.faces.side import find_half
 
 __all__ = ["SeenFace", "find_seen_face"]
 
@@ -125,7 +135,11 @@ def _find_alone(rgb: NDArray[np.float32], name: object, plain: Background | None
         assert refusal is not None
         raise refusal
     front = find_front(rgb, mask)
-    mask, note = _without_arm(mask) if front is None else (front, _TOUCHING)
+    half = find_half(rgb, mask) if front is None else None
+    if half is not None:
+        mask, note = trace(rgb, half), _SIDE
+    else:
+        mask, note = _without_arm(mask) if front is None else (front, _TOUCHING)
     if patterned:
         note = note or _PATTERN
     elif solidity(mask) < SOLID and not note:
@@ -141,8 +155,8 @@ def _find_alone(rgb: NDArray[np.float32], name: object, plain: Background | None
         if found is None:
             if skinned < HALF:
                 note = note or _BARE
-            elif skinned < SKINNED and len(find_bays(mask)[1]) > 1:
-                note = note or _BAYS
+            elif skinned < SKINNED:
+                note = note or (_BAYS if len(find_bays(mask)[1]) > 1 else _PARTLY)
             elif lies > (skinned >= SKINNED):
                 note = note or _MAY_BE
             break
@@ -164,6 +178,7 @@ _LOOK = "see whether its outline is right"
 _ARM = f"what reaches from the border to the cut face is left out; {_LOOK}"
 _TOUCHING = f"something else seems to touch the cut face or to lie behind it, and is left out; {_LOOK}"
 _BESIDE = f"something else lies beside the cut face, and is left out; {_LOOK}"
+_SIDE = f"the side of the object is seen beside its cut face, and is left out; {_LOOK}"
 _BAYS = f"the outline of what was found has bays, as where something beside the cut face is taken for a part; {_LOOK}"
 _TAKEN_OFF = f"the cut face seems to lie on a plate or board, which is left out; {_LOOK}"
 _PATTERN = f"what is behind the cut face has several colours, which a face may share; {_LOOK}"
@@ -172,6 +187,7 @@ _BARE = (
     "hardly a skin or rind is seen around what was found, which may be a plate, a board, or only a part of the face; "
     f"{_LOOK}"
 )
+_PARTLY = f"no skin or rind is seen on one side of what was found, where it may be seen from outside; {_LOOK}"
 _MAY_BE = f"what was found may be a plate or board with the cut face on it; {_LOOK}"
 
 

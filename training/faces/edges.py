@@ -21,6 +21,7 @@ __all__ = [
     "cheapest_path",
     "edge_cost",
     "edge_strength",
+    "from_mixtures",
     "largest_component",
     "nearest",
     "rims_apart",
@@ -90,7 +91,7 @@ def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
     band = (depth <= SKIN * across) & (away <= 1.5)
     at = np.nonzero(band)
     ends = [smooth[tuple(place[at] for place in nearest(where))] for where in (flesh, behind)]
-    third = _from_mixtures(ndimage.gaussian_filter(rgb, (sigma / 2, sigma / 2, 0))[at], *ends)
+    third = from_mixtures(ndimage.gaussian_filter(rgb, (sigma / 2, sigma / 2, 0))[at], *ends)
     layer = np.round(depth[at]).astype(int)
     sector = sectors_of(mask, at)
     shape = SECTORS, int(layer.max()) + 1
@@ -102,7 +103,7 @@ def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
     return float((most > THIRD_COLOUR).mean())
 
 
-def _from_mixtures(
+def from_mixtures(
     colours: NDArray[np.float32], first: NDArray[np.float32], second: NDArray[np.float32]
 ) -> NDArray[np.float64]:
     """(N,). RGB distance of colours (N, 3) from the nearest sum of any amounts of two others (N, 3), which is what a

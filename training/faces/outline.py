@@ -38,7 +38,7 @@ from training.faces.edges import (
 from training.faces.shadow import SECTORS, SHADE, light_around
 from training.faces.side import without_side
 
-__all__ = ["CHANCE", "MIN_CENTRAL", "CutOffError", "find_central", "find_mask", "is_dimmed_around", "solidity"]
+__all__ = ["CHANCE", "MIN_CENTRAL", "CutOffError", "find_central", "find_mask", "is_dimmed_around", "solidity", "trace"]
 
 MIN_SHARE = 0.02
 """Least fraction of the picture that a cut face covers; anything smaller is a crumb on an empty table."""
@@ -149,10 +149,10 @@ def find_mask(
         guess, behind = whole, background.lit
     if guess.mean() < MIN_SHARE:
         raise InputError(f"{name}: no cut face stands out from the background; use a plain background, or cut it out")
-    mask = _trace(rgb, guess)
+    mask = trace(rgb, guess)
     if behind is background.shaded and is_dimmed_around(rgb, mask):
         guess, behind = whole, background.lit
-        mask = _trace(rgb, guess)
+        mask = trace(rgb, guess)
     if mask.mean() < MIN_SHARE:
         raise InputError(f"{name}: no cut face stands out from the background; use a plain background, or cut it out")
     reaching = _joined(mask, ~behind & _like_the_face(rgb, mask))
@@ -184,7 +184,7 @@ def find_central(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     def search(start: float) -> NDArray[np.bool_]:
         labels = np.where(inner, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
         labels[inner & (np.hypot(rows, columns) < start)] = cv2.GC_PR_FGD
-        return _trace(small, _cut(small, labels))
+        return trace(small, _cut(small, labels))
 
     masks = side_by_side(search, STARTS)
     found = [mask for mask in masks if mask.mean() >= MIN_CENTRAL and not (mask & ~inner).any()]
@@ -197,7 +197,7 @@ def find_central(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     # that it has a third colour itself. Then its outline is more ragged, as is that of a face with things beside it.
     skinned = [one for one, skin in zip(agreed, skins, strict=True) if skin > max(skins) - CHANCE]
     best = max(skinned, key=solidity)
-    mask = _trace(rgb, _resized(best, rgb.shape[:2]))
+    mask = trace(rgb, _resized(best, rgb.shape[:2]))
     if mask.mean() < MIN_CENTRAL:
         return None
     # One of its kind that it touches reaches a bit of the border.
@@ -206,7 +206,7 @@ def find_central(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     return None if goes_on or _shared_colours(rgb, mask) > SHARED else mask
 
 
-def _trace(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def trace(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(H, W). The face, traced from a first guess (H, W)."""
     moved = _move_to_edges(rgb, _grab_cut(rgb, guess))
     mask = _settle_mixed_pixels(rgb, without_side(rgb, without_bulges(rgb, moved)))
