@@ -24,6 +24,7 @@ from training.faces.edges import (
     HALF,
     MIXED,
     cheapest_path,
+    colours_apart,
     edge_cost,
     edge_strength,
     largest_component,
@@ -64,6 +65,15 @@ OVAL = 0.07
 to 0.056; both parts of a single face between two bays only where it is a loaf (0.09), a pomegranate with a crown
 (0.096), or an apple's halves, between which there is no edge."""
 
+RIM, INSIDE = 0.05, 0.12
+"""Depths, as fractions of a thing's diameter, up to which its colours are those of its outline, and from which they are
+those of its inside."""
+
+UNLIKE, LIGHTS = 0.08, (0.4, 2.5)
+"""RGB distance of a colour inside from nine in ten along the outline from which a whole fruit has none such, and the
+factors by which the light on it varies: a twentieth of what is seen of eight photographed ones is farther away, but a
+fifth to a half of a mangosteen, onion, jackfruit and wood-apple cut open, on small pictures."""
+
 WHOLE = 0.9
 """Fraction of a mask from which a thing in it is all but a stalk or a crown, which are no things of their own."""
 
@@ -88,15 +98,29 @@ def find_front(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.
     edges = [_front_edge(cost, mask, guess) for guess in guesses]
     if not lobes:
         edges = [(along, face) for along, face in edges if _runs_through(cost, mask, face)]
-    found = [(along, face, skin_share(rgb, face)) for along, face in edges if face.any()]
-    if not found:
+    edges = [(along, face) for along, face in edges if face.any()]
+    if not edges:
         return None
-    most = max(skin for _, _, skin in found)
-    if most > HALF:  # the face, not a whole fruit, which has one colour
-        found = [one for one in found if one[2] > most - BARE]
+    # The face, not a whole fruit: this has one colour, outside and within.
+    shown = [skin_share(rgb, face) for _, face in edges]
+    if max(shown) <= HALF:
+        shown = [max(skin, _coloured_share(rgb, face)) for skin, (_, face) in zip(shown, edges, strict=True)]
+    found = [(*one, share) for one, share in zip(edges, shown, strict=True) if share > max(shown) - BARE]
     least = min(along for along, _, _ in found)
     likely = [one for one in found if one[0] <= ALIKE * least]
     return max(likely, key=lambda one: (one[2] > HALF, one[1].sum()))[1]
+
+
+def _coloured_share(rgb: NDArray[np.float32], thing: NDArray[np.bool_]) -> float:
+    """Fraction of the inside of a thing (H, W) in a picture (H, W, 3) that has a colour unlike those along its outline,
+    in any light. Range [0, 1]."""
+    depth, across = depth_in(thing), diameter_of(thing)
+    smooth = ndimage.gaussian_filter(rgb, (1, 1, 0))
+    rim, inside = smooth[(depth >= MIXED) & (depth < RIM * across)], smooth[depth > INSIDE * across]
+    if not len(rim) or not len(inside):
+        return 0.0
+    rim, inside = (some[:: max(len(some) // count, 1)] for some, count in ((rim, 300), (inside, 2000)))
+    return float((np.quantile(colours_apart(inside, rim, LIGHTS), 0.1, axis=1) > UNLIKE).mean())
 
 
 def _lobes(mask: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:

@@ -134,12 +134,13 @@ def _find_alone(rgb: NDArray[np.float32], name: object, plain: Background | None
     if mask is None:
         assert refusal is not None
         raise refusal
-    front = find_front(rgb, mask)
-    half = find_half(rgb, mask) if front is None else None
+    fronts = [mask]
+    while len(fronts) <= LEVELS and (front := find_front(rgb, fronts[-1])) is not None:
+        fronts.append(front)
+    mask, note = _without_arm(mask) if len(fronts) == 1 else (fronts[-1], _TOUCHING)
+    half = find_half(rgb, mask)
     if half is not None:
         mask, note = trace(rgb, half), _SIDE
-    else:
-        mask, note = _without_arm(mask) if front is None else (front, _TOUCHING)
     if patterned:
         note = note or _PATTERN
     elif solidity(mask) < SOLID and not note:

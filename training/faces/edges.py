@@ -19,6 +19,7 @@ __all__ = [
     "SKINNED",
     "THIRD_COLOUR",
     "cheapest_path",
+    "colours_apart",
     "edge_cost",
     "edge_strength",
     "from_mixtures",
@@ -119,6 +120,17 @@ def from_mixtures(
     ]
     both = np.linalg.norm(p - of_a[:, None] * a - of_b[:, None] * b, axis=-1)
     return np.where(plane & (of_a >= 0) & (of_b >= 0), both, np.minimum(*alone))
+
+
+def colours_apart(
+    some: NDArray[np.float32], others: NDArray[np.float32], lights: tuple[float, float]
+) -> NDArray[np.float32]:
+    """(M, P). RGB distance of colours (M, 3) from each of others (P, 3), whose light may be multiplied by a factor in
+    this range."""
+    product, square = some @ others.T, np.square(others).sum(1)
+    light = np.clip(product / np.maximum(square, 1e-6), *lights)
+    squared = np.square(some).sum(1)[:, None] + light * (light * square - 2 * product)
+    return np.asarray(np.sqrt(np.maximum(squared, 0)))
 
 
 def nearest(known: NDArray[np.bool_]) -> NDArray[np.int32]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.faces.edges import MIXED, edge_strength, from_mixtures, largest_component
+from training.faces.edges import MIXED, colours_apart, edge_strength, from_mixtures, largest_component
 from training.faces.rays import Rays, diameter_of
 
 __all__ = ["find_half", "without_side"]
@@ -75,7 +75,7 @@ AS_STRONG, EDGED = 0.4, 0.8
 has such an edge: 0.99 and more in these renderings."""
 
 STANDS_OUT, CLEAR = 0.3, 0.68
-"""Least RGB distance between a face and its side, where they meet: 0.42 and more in the renderings. And least clearness:
+"""Least RGB distance between a face and its side, where they meet: 0.42 and more in the renderings. And the least of
 the fraction with an edge, times 1 less the ratio of what the halves of the face differ by to that distance. It is 0.77
 to 0.98 in the renderings, and at most 0.63 in 29 photographs without so wide a side."""
 
@@ -148,10 +148,7 @@ def _side(colours: NDArray[np.float32], skin: int, towards: int) -> NDArray[np.f
 
 def _apart(colours: NDArray[np.float32], palette: NDArray[np.float32]) -> NDArray[np.float32]:
     """(M,). RGB distance of colours (M, 3) from the nearest in a palette (P, 3), in the light that suits it best."""
-    product, square = colours @ palette.T, np.square(palette).sum(1)
-    light = np.clip(product / np.maximum(square, 1e-6), *LIGHTS)
-    squared = np.square(colours).sum(1)[:, None] + light * (light * square - 2 * product)
-    return np.sqrt(np.maximum(squared.min(1), 0))
+    return colours_apart(colours, palette, LIGHTS).min(1)
 
 
 def _middle(side: NDArray[np.float64]) -> int:
