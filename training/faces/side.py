@@ -185,7 +185,9 @@ class _Ovals:
     wide: float
     """Half their width."""
     far: float
-    """Where they begin, in pixels along `near`."""
+    """Where they and the thing begin, in pixels along `near`."""
+    end: float
+    """Where the thing ends."""
     deep: NDArray[np.float64]
     """(D,). Half their heights."""
 
@@ -198,11 +200,10 @@ class _Ovals:
         across = self.middle + self.wide * ALONG + outwards[0]
         return self._places(across, self.far + deep + side * (deep * round_off + outwards[1]))
 
-    def beyond(self, part: float, end: float) -> NDArray[np.float64]:
-        """(2, D, A). Places beside their near halves, this `part` of the way to where the thing ends, at `end` along
-        `near`."""
+    def beyond(self, part: float) -> NDArray[np.float64]:
+        """(2, D, A). Rows and columns beyond their near halves, this `part` of the way to where the thing ends."""
         deep = self.deep[:, None]
-        deeper = deep + part * (end - self.far - 2 * deep)
+        deeper = deep + part * (self.end - self.far - 2 * deep)
         across = np.broadcast_to(self.middle + self.wide * ALONG, (len(deep), len(ALONG)))
         return self._places(across, self.far + deep + deeper * np.sqrt(1 - ALONG**2))
 
@@ -237,20 +238,20 @@ def find_half(rgb: NDArray[np.float32], thing: NDArray[np.bool_]) -> NDArray[np.
     if len(rim) < HALVES:
         return None
     strength = edge_strength(small)
-    usual = float(np.median(ndimage.maximum_filter(strength, 2 * MIXED - 1)[tuple(rim.T)]))
+    usual = max(float(np.median(ndimage.maximum_filter(strength, 2 * MIXED - 1)[tuple(rim.T)])), 1e-6)
     smooth = ndimage.gaussian_filter(small, (0.7, 0.7, 0))
-    best, found, ends = CLEAR, None, 0.0
+    best, found = CLEAR, None
     for turn in 2 * np.pi * np.arange(HALVES) / HALVES:
         near, beside = np.array([np.sin(turn), np.cos(turn)]), np.array([np.cos(turn), -np.sin(turn)])
         across, along = rim @ beside, rim @ near
-        wide, end = float(np.ptp(across)) / 2, float(along.max())
+        wide, middle = float(np.ptp(across)) / 2, float(across.max() + across.min()) / 2
         deep = np.linspace(FLATTEST, 1.05, DEPTHS) * wide
-        deep = deep[np.ptp(along) - 2 * deep > WIDE_SIDE * diameter_of(whole)]
-        ovals = _Ovals(beside, near, float(across.max() + across.min()) / 2, wide, float(along.min()), deep)
-        clear = _clear(smooth, filled, strength / usual, ovals, end)
+        deep = deep[(deep > 1) & (np.ptp(along) - 2 * deep > WIDE_SIDE * diameter_of(whole))]
+        ovals = _Ovals(beside, near, middle, wide, float(along.min()), float(along.max()), deep)
+        clear = _clear(smooth, filled, strength / usual, ovals)
         if clear.max(initial=0) > best:
-            best, found, ends = clear.max(), replace(ovals, deep=deep[[clear.argmax()]]), end
-    if found is None or _third_colour(smooth, found, ends) > RIND:
+            best, found = clear.max(), replace(ovals, deep=deep[[clear.argmax()]])
+    if found is None or _third_colour(smooth, found) > RIND:
         return None
     steps = (np.linspace(0, n - 1, m) for n, m in zip((rows, columns), own.shape, strict=True))
     places = np.stack(np.meshgrid(*steps, indexing="ij"))
@@ -260,15 +261,10 @@ def find_half(rgb: NDArray[np.float32], thing: NDArray[np.bool_]) -> NDArray[np.
 
 
 def _clear(
-    rgb: NDArray[np.float32],
-    filled: NDArray[np.float32],
-    strength: NDArray[np.float32],
-    ovals: _Ovals,
-    end: float,
+    rgb: NDArray[np.float32], filled: NDArray[np.float32], strength: NDArray[np.float32], ovals: _Ovals
 ) -> NDArray[np.float64]:
     """(D,). How clear it is that ovals are the face of a half, as CLEAR says, 0 if they are not: in a picture (H, W, 3)
-    with edges of this strength (H, W) over that of the thing's outline, where the thing fills (H, W) and ends at
-    `end`."""
+    with edges of this strength (H, W) over that of the thing's outline, of which the thing fills this much (H, W)."""
 
     def read(image: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
         return np.asarray(ndimage.map_coordinates(image, places, order=1, mode="nearest"))
@@ -290,20 +286,20 @@ def _clear(
     unlike = np.mean(
         [np.linalg.norm(colours(ovals.half(1, -o)) - colours(ovals.half(-1, -o)), axis=-1) for o in RIMS], axis=0
     )
-    first, middle, last = (colours(ovals.beyond(part, end)) for part in (0.25, 0.5, 0.8))
+    first, middle, last = (colours(ovals.beyond(part)) for part in (0.25, 0.5, 0.8))
     uneven = np.maximum(_apart_each(first, middle), _apart_each(last, middle))
     real = (contrast > STANDS_OUT) & (uneven < ONE_COLOUR * contrast)
     found[faces] = np.where(real, edged[faces] * (1 - unlike / np.maximum(contrast, STANDS_OUT)), 0)
     return found
 
 
-def _third_colour(rgb: NDArray[np.float32], oval: _Ovals, end: float) -> float:
-    """RGB distance of the outline of the side beyond an oval from mixtures of its colour and that behind it, in a
-    picture (H, W, 3) of a thing that ends at `end`. A side ends in its own colour, a rind in a skin."""
+def _third_colour(rgb: NDArray[np.float32], oval: _Ovals) -> float:
+    """RGB distance of the outline of the side beyond an oval, in a picture (H, W, 3), from mixtures of its colour and
+    that behind it. A side ends in its own colour, a rind in a skin."""
     middle = np.abs(ALONG) < 0.7  # it narrows towards its ends
 
     def colours(part: float) -> NDArray[np.float32]:
-        rows, columns = oval.beyond(part, end)[:, 0, middle]
+        rows, columns = oval.beyond(part)[:, 0, middle]
         read = [ndimage.map_coordinates(rgb[..., c], (rows, columns), order=1, mode="nearest") for c in range(3)]
         return np.stack(read, -1)
 

@@ -16,6 +16,7 @@ from benchmarks.photographs.drawn import whole_fruit
 from benchmarks.photographs.faces import mask_iou
 from engine.errors import InputError
 from tests.paths import SHARED
+from training.faces.bulges import find_front
 from training.faces.carrier import find_seen_face
 from training.faces.edges import skin_share
 from training.faces.outline import find_central
@@ -205,6 +206,31 @@ def test_of_two_that_touch_or_overlap_the_face_in_front_is_found(apart: float, b
     found = find_seen_face(photographed(picture), "two")
     assert mask_iou(found.mask, truth) > 0.93  # a pixel around a disc 77 wide is a twentieth of it
     assert "something else seems to touch" in found.note
+
+
+def round_thing(under: NDArray, place: tuple[float, float], size: float) -> tuple[NDArray, Mask]:
+    r = np.hypot(X - place[0], Y - place[1])
+    return lay(under, r < size, [0.3, 0.42, 0.15]), r < size
+
+
+def test_the_face_of_three_that_touch_is_found() -> None:
+    """It is in front of a whole one, and another barely touches that: with this gone, there is another neck."""
+    picture, _ = round_thing(table(), (0.6, -0.35), 0.3)
+    picture, _ = round_thing(picture, (0.0, -0.35), 0.32)
+    r = np.hypot(X + 0.1, Y - 0.22)
+    picture = over(lay(picture, r < 0.42, [0.75, 0.45, 0.1]), r < 0.39, [0.95, 0.75, 0.3])
+    found = find_seen_face(photographed(picture), "three")
+    assert mask_iou(found.mask, r < 0.42) > 0.9
+    assert "something else seems to touch" in found.note
+
+
+def test_the_cut_one_of_two_that_touch_is_told_by_its_inside_where_no_skin_is_seen() -> None:
+    """Its rind has one colour, that of the whole one, which is larger, in front of it and shaded."""
+    picture, truth = round_thing(table(), (-0.42, 0), 0.4)
+    picture = over(picture, np.hypot(X + 0.42, Y) < 0.3, [0.93, 0.9, 0.75])
+    ball, there = whole_fruit((X - 0.36) / 0.46, Y / 0.46, [0.3, 0.42, 0.15])
+    found = find_front(photographed(lay(picture, there, ball)), truth | there)
+    assert found is not None and mask_iou(found, truth & ~there) > 0.9
 
 
 @pytest.mark.parametrize("name", ["apple_h3", "orange_h1", "orange_v3", "watermelon_v11"])

@@ -152,3 +152,10 @@ def test_what_is_too_small_is_no_half() -> None:
     for size in (0, 1, 5, 12):
         face = np.hypot(*(np.mgrid[:48, :48] - 23.5)) < size / 2
         assert find_half(rgb, face) is None
+
+
+def test_what_is_flat_or_has_no_edge_is_no_half() -> None:
+    line = np.zeros((64, 200), bool)
+    line[30:31, 10:190] = True
+    for face in (line, np.ones_like(line)):
+        assert find_half(np.full((64, 200, 3), 0.5, np.float32), face) is None
