@@ -134,10 +134,14 @@ def _find_alone(rgb: NDArray[np.float32], name: object, plain: Background | None
     if mask is None:
         assert refusal is not None
         raise refusal
-    fronts = [mask]
-    while len(fronts) <= LEVELS and (front := find_front(rgb, fronts[-1])) is not None:
-        fronts.append(front)
-    mask, note = _without_arm(mask) if len(fronts) == 1 else (fronts[-1], _TOUCHING)
+    front = find_front(rgb, mask)
+    for _ in range(LEVELS):
+        # What is in front may be several things again: without the others, the face has a skin on more of its outline.
+        further = None if front is None else find_front(rgb, front)
+        if front is None or further is None or skin_share(rgb, further) <= skin_share(rgb, front):
+            break
+        front = further
+    mask, note = _without_arm(mask) if front is None else (front, _TOUCHING)
     half = find_half(rgb, mask)
     if half is not None:
         mask, note = trace(rgb, half), _SIDE
