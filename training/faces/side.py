@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from training.faces.completion import NEAR_BORDER
 from training.faces.edges import MIXED, colours_apart, edge_strength, from_mixtures, largest_component
 from training.faces.rays import Rays, diameter_of
 
@@ -221,9 +222,12 @@ def find_half(rgb: NDArray[np.float32], thing: NDArray[np.bool_]) -> NDArray[np.
     """(H, W). About where the cut face is of a thing (H, W) in a picture (H, W, 3), range [0, 1], that is a half and is
     seen at so great an angle that much of its side is seen, too; None if the thing is none.
 
-    Within the near half of such a face lies what lies within its far half, and beyond it a skin of one colour.
+    Within the near half of such a face lies what lies within its far half, and beyond it a skin of one colour. The same
+    is true of a face with a thick rind that the picture's border cuts off on the other side: it is none.
     """
-    if not thing.any():
+    inner = np.zeros_like(thing)
+    inner[NEAR_BORDER:-NEAR_BORDER, NEAR_BORDER:-NEAR_BORDER] = True
+    if not thing.any() or (thing & ~inner).any():
         return None
     box = tuple(slice(max(axis.min() - MIXED, 0), axis.max() + 1 + MIXED) for axis in np.nonzero(thing))
     own = thing[box]

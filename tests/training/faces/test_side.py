@@ -157,5 +157,15 @@ def test_what_is_too_small_is_no_half() -> None:
 def test_what_is_flat_or_has_no_edge_is_no_half() -> None:
     line = np.zeros((64, 200), bool)
     line[30:31, 10:190] = True
-    for face in (line, np.ones_like(line)):
+    block = np.zeros_like(line)
+    block[8:-8, 8:-8] = True
+    for face in (line, block):
         assert find_half(np.full((64, 200, 3), 0.5, np.float32), face) is None
+
+
+@pytest.mark.parametrize("share", [0.05, 0.15])
+def test_a_face_that_the_border_cuts_off_is_no_half(share: float) -> None:
+    """The border takes its rind on one side; on the other it is as a side would be."""
+    rgb, face, _ = half_ball("melon", 0)
+    first = round(SIZE / 2 - RADIUS * (1 - 2 * share))
+    assert find_half(rgb[:, first:], face[:, first:]) is None
