@@ -70,9 +70,9 @@ RIM, INSIDE = 0.05, 0.12
 those of its inside."""
 
 UNLIKE, LIGHTS = 0.08, (0.4, 2.5)
-"""RGB distance of a colour inside from nine in ten along the outline from which a whole fruit has none such, and the
-factors by which the light on it varies: a twentieth of what is seen of eight photographed ones is farther away, but a
-fifth to a half of a mangosteen, onion, jackfruit and wood-apple cut open, on small pictures."""
+"""RGB distance of a colour inside from nine in ten along the outline from which it is another one, and the factors by
+which the light on a whole fruit varies. In small photographs up to 0.06 of what is seen of nine whole fruits is such,
+of an onion 0.2; and 0.3 to 0.7 of a mangosteen, onion, jackfruit and wood-apple cut open."""
 
 WHOLE = 0.9
 """Fraction of a mask from which a thing in it is all but a stalk or a crown, which are no things of their own."""
@@ -90,6 +90,17 @@ as costly."""
 def find_front(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     """(H, W). That of several things in a mask (H, W) which is in front of the others, in a picture (H, W, 3), range
     [0, 1]; None if there is one thing."""
+    front = _next_front(rgb, mask)
+    # It may be several things again: without the others, the face has a skin on more of its outline.
+    while front is not None and (further := _next_front(rgb, front)) is not None:
+        if skin_share(rgb, further) <= skin_share(rgb, front):
+            break
+        front = further
+    return front
+
+
+def _next_front(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """(H, W). One step of it: the part of a mask (H, W) in front, which may be several things itself."""
     lobes = _lobes(mask)
     guesses = lobes or _between_bays(mask)
     if not guesses:

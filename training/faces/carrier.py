@@ -135,12 +135,6 @@ def _find_alone(rgb: NDArray[np.float32], name: object, plain: Background | None
         assert refusal is not None
         raise refusal
     front = find_front(rgb, mask)
-    for _ in range(LEVELS):
-        # What is in front may be several things again: without the others, the face has a skin on more of its outline.
-        further = None if front is None else find_front(rgb, front)
-        if front is None or further is None or skin_share(rgb, further) <= skin_share(rgb, front):
-            break
-        front = further
     mask, note = _without_arm(mask) if front is None else (front, _TOUCHING)
     half = find_half(rgb, mask)
     if half is not None:
@@ -160,10 +154,12 @@ def _find_alone(rgb: NDArray[np.float32], name: object, plain: Background | None
         if found is None:
             if skinned < HALF:
                 note = note or _BARE
-            elif skinned < SKINNED:
-                note = note or (_BAYS if len(find_bays(mask)[1]) > 1 else _PARTLY)
+            elif skinned < SKINNED and len(find_bays(mask)[1]) > 1:
+                note = note or _BAYS
             elif lies > (skinned >= SKINNED):
                 note = note or _MAY_BE
+            elif skinned < SKINNED:
+                note = note or _PARTLY
             break
         mask, note = found, _TAKEN_OFF
     return SeenFace(mask, note or (_RIM if is_dimmed_around(rgb, mask) else ""))
