@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from safetensors.numpy import load_file
 
 import fruitninja
@@ -76,11 +77,15 @@ def test_the_window_ends_with_the_skin_that_solidify_fits(
     make_tiny(monkeypatch)
     monkeypatch.setattr(scene_worker, "yield_to_others", lambda: None)  # this process goes on with other tests
     around = fruitninja.Sphere((0.0, 0.0, 0.0), 9.0)
+    threads = torch.get_num_threads() + 1
+    torch.set_num_threads(threads)
     parts: list[tuple[str, float]] = []
     solid = fruitninja.load(SCENE / "watermelon.ply", seed=3).solidify(
         detail="draft", keep=[around], seed=3, progress=lambda *told: parts.append(told)
     )
     assert [stage for stage, part in parts if not part] == ["body", "atomise", "refit"] and parts[-1] == ("refit", 1.0)
+    assert torch.get_num_threads() == threads  # as the caller set them
+    torch.set_num_threads(threads - 1)
     request = {"scene": str(SCENE / "watermelon.ply"), "folder": str(tmp_path), "detail": "draft", "seed": 3}
     request |= {"trained": None, "isolation": isolation_record((keep_only(around),)), "opened": False, "refit": True}
     monkeypatch.setattr("sys.stdin", io.StringIO(json.dumps(request) + "\n"))

@@ -138,7 +138,8 @@ def _find_alone(rgb: NDArray[np.float32], name: object, plain: Background | None
     mask, note = _without_arm(mask) if front is None else (front, _TOUCHING)
     half = find_half(rgb, mask)
     if half is not None:
-        mask, note = trace(rgb, half), _SIDE
+        traced = trace(rgb, half)
+        mask, note = (traced if traced.sum() > half.sum() / 2 else half), _SIDE
     if patterned:
         note = note or _PATTERN
     elif solidity(mask) < SOLID and not note:

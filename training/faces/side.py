@@ -270,28 +270,25 @@ def _clear(
     """(D,). How clear it is that ovals are the face of a half, as CLEAR says, 0 if they are not: in a picture (H, W, 3)
     with edges of this strength (H, W) over that of the thing's outline, of which the thing fills this much (H, W)."""
 
-    def read(image: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
-        return np.asarray(ndimage.map_coordinates(image, places, order=1, mode="nearest"))
-
-    def colours(places: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(D, 3). The usual ones."""
-        return np.stack([np.median(read(rgb[..., c], places), axis=1) for c in range(3)], -1)
+    def usual(places: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(D, 3). The median colours ALONG each oval."""
+        return np.median(_read(rgb, places), axis=1)
 
     if not len(ovals.deep):
         return np.zeros(0)
-    edged = (np.max([read(strength, ovals.half(1, o)) for o in EDGES], axis=0) > AS_STRONG).mean(1)
-    inner, outer = (read(filled, ovals.half(-1, o)) > 0.5 for o in (-OWN, OWN))
+    edged = (np.max([_read(strength, ovals.half(1, o)) for o in EDGES], axis=0) > AS_STRONG).mean(1)
+    inner, outer = (_read(filled, ovals.half(-1, o)) > 0.5 for o in (-OWN, OWN))
     faces = (edged > EDGED) & ((inner & ~outer).mean(1) > SAME_LINE)
     ovals = replace(ovals, deep=ovals.deep[faces])
     found = np.zeros(len(faces))
     if not faces.any():
         return found
-    contrast = np.linalg.norm(colours(ovals.half(1, -RIMS[0])) - colours(ovals.half(1, RIMS[0])), axis=-1)
+    contrast = np.linalg.norm(usual(ovals.half(1, -RIMS[0])) - usual(ovals.half(1, RIMS[0])), axis=-1)
     unlike = np.mean(
-        [np.linalg.norm(colours(ovals.half(1, -o)) - colours(ovals.half(-1, -o)), axis=-1) for o in RIMS], axis=0
+        [np.linalg.norm(usual(ovals.half(1, -o)) - usual(ovals.half(-1, -o)), axis=-1) for o in RIMS], axis=0
     )
-    first, middle, last = (colours(ovals.beyond(part)) for part in (0.25, 0.5, 0.8))
-    uneven = np.maximum(_apart_each(first, middle), _apart_each(last, middle))
+    middle = usual(ovals.beyond(0.5))
+    uneven = np.max([colours_apart(usual(ovals.beyond(p)), middle, SHADES).diagonal() for p in (0.25, 0.8)], axis=0)
     real = (contrast > STANDS_OUT) & (uneven < ONE_COLOUR * contrast)
     found[faces] = np.where(real, edged[faces] * (1 - unlike / np.maximum(contrast, STANDS_OUT)), 0)
     return found
@@ -302,17 +299,12 @@ def _third_colour(rgb: NDArray[np.float32], oval: _Ovals) -> float:
     that behind it. A side ends in its own colour, a rind in a skin."""
     middle = np.abs(ALONG) < 0.7  # it narrows towards its ends
 
-    def colours(part: float) -> NDArray[np.float32]:
-        rows, columns = oval.beyond(part)[:, 0, middle]
-        read = [ndimage.map_coordinates(rgb[..., c], (rows, columns), order=1, mode="nearest") for c in range(3)]
-        return np.stack(read, -1)
-
-    own, behind = colours(0.6), colours(1.3)
-    most = np.max([from_mixtures(colours(part), own, behind) for part in (0.85, 0.9, 0.95, 1.0, 1.05)], axis=0)
-    return float(np.median(most))
+    own, behind, *outline = (_read(rgb, oval.beyond(p)[:, 0, middle]) for p in (0.6, 1.3, 0.85, 0.9, 0.95, 1.0, 1.05))
+    return float(np.median(np.max([from_mixtures(colours, own, behind) for colours in outline], axis=0)))
 
 
-def _apart_each(some: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N,). RGB distance of colours (N, 3) from others (N, 3), in the light that suits each pair best."""
-    light = np.clip((some * others).sum(1) / np.maximum(np.square(others).sum(1), 1e-6), *SHADES)
-    return np.asarray(np.linalg.norm(some - light[:, None] * others, axis=1))
+def _read(image: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(...) or (..., 3). What an image (H, W) or (H, W, 3) shows at places (2, ...), rows and columns; bilinear."""
+    channels = np.moveaxis(image[..., None] if image.ndim == 2 else image, -1, 0)
+    read = np.stack([ndimage.map_coordinates(one, places, order=1, mode="nearest") for one in channels], -1)
+    return read[..., 0] if image.ndim == 2 else read
