@@ -5,10 +5,11 @@
 
 The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after
 everything that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of
-the PSNR over what both show as opaque, and of the IoU of the silhouettes; and how much of the front is filled by the
-inside right below it, so that cuts have no gaps at their rim. Writes fidelity.json, the chart fidelity.png
-and, for each capture, fidelity_<capture>.png (the capture, the solid below it, and the solid cut in half with a plain
-inside). Measures the samples if no capture is given.
+the PSNR over what both show as opaque, and of the IoU of the silhouettes; over four views with four times the pixels,
+the PSNR and the length of the solid's outline over the capture's; and how much of the front is filled by the inside
+right below it, so that cuts have no gaps at their rim. Writes fidelity.json, the chart fidelity.png and, for each
+capture, fidelity_<capture>.png (the capture, the solid below it, and the solid cut in half with a plain inside).
+Measures the samples if no capture is given.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
+from skimage.measure import perimeter
 
 from benchmarks.support.charts import plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of
@@ -35,6 +37,7 @@ from engine.render.cpu.kernel_field import KernelField
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, cameras_around
 from engine.scene.constants import SOLID_DENSITY
+from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.image import psnr
 from engine.scene.plane import Plane
@@ -52,6 +55,9 @@ from training.views import BACKGROUND
 SAMPLES = ("watermelon", "orange", "bread")
 
 VIEWS, SIZE = 12, 512
+
+CLOSER, CLOSER_VIEWS = 4, 4
+"""Views with as many times the pixels, as near as a user looks: there a soft rim that was copied as hairs shows."""
 
 TURN = 17.0
 """Degrees by which these cameras are turned from the fitted ones, so that no view is shared."""
@@ -121,16 +127,30 @@ def measure(
             half = opaque.render(atoms, camera, [halving(camera, (low + high) / 2)], BACKGROUND)
             columns.append(np.concatenate([one, other, np.clip(half.rgb, 0, 1)]))
     union_db, opaque_db, iou = (float(value) for value in np.mean(rows, axis=0))
+    closer = cameras_around((low + high) / 2, radius, up, min(views, CLOSER_VIEWS), CLOSER * SIZE, turn=TURN)
+    closer_db, outline = np.mean([close_up(atoms, capture, camera) for camera in closer], axis=0).tolist()
     figures = {
         "gaussians": len(capture),
         "surface_atoms": len(atoms.surface),
         "union_db": round(union_db, 2),
         "opaque_db": round(opaque_db, 2),
         "silhouette_iou": round(iou, 4),
+        "closer_db": round(closer_db, 2),
+        "outline": round(outline, 3),
         "filled": round(filled_share(atoms, geometry.body), 4),
         "seconds": round(seconds, 1),
     }
     return figures, np.concatenate(columns, axis=1)
+
+
+def close_up(atoms: Atoms, capture: Gaussians, camera: Camera) -> tuple[float, float]:
+    """PSNR over both silhouettes in one view, and the length of the solid's outline over that of the capture's: above 1
+    it is frayed."""
+    there, here = classic.render(capture, camera, BACKGROUND), opaque.render(atoms, camera, background=BACKGROUND)
+    one, other = there.alpha > 0.5, here.alpha > 0.5
+    union = one | other
+    db = psnr(np.clip(there.rgb, 0, 1)[union], np.clip(here.rgb, 0, 1)[union])
+    return db, float(perimeter(other) / perimeter(one))
 
 
 def halving(camera: Camera, centre: NDArray[np.float64]) -> Plane:

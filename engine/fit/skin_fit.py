@@ -28,6 +28,7 @@ from engine.render.classic import rasterizer as classic
 from engine.render.cpu.opaque import render
 from engine.scene.atoms import NO_INTERIOR, Atoms, SurfaceAtoms
 from engine.scene.camera import Camera
+from engine.scene.constants import MIN_WEIGHT
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.sh import C0
@@ -48,6 +49,13 @@ HUBER = 0.1
 SHOWN = 0.5
 """Alpha from which a pixel belongs to a silhouette."""
 
+FADE = 3.0
+"""Slope at which the capture's alpha falls to 0 below SHOWN, at a third. Opaque atoms would draw its soft rim as dots
+and hairs of the right coverage, which a closer look shows: at four times the pixels of the fit, outlines of a guitar, a
+person and a box are 1.36, 1.22 and 1.17 times as long as the capture's, and with this slope 1.09, 1.04 and 0.93. At the
+pixels of the fit this costs 0.4, 0.0 and 0.0 dB, and four times as near it gains 1.3, 0.7 and 0.2. Slopes of 2 and 4
+are a step of the same exchange away; steeper above SHOWN as well, a fit loses 1 dB."""
+
 HELD_OUT = 12
 """One view in this many is held out and decides whether the result is better."""
 
@@ -64,7 +72,7 @@ WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Target:
-    """The capture from one camera."""
+    """The capture from one camera, without the part of its rim that is mostly transparent."""
 
     camera: Camera
     rgb: torch.Tensor
@@ -76,7 +84,10 @@ class Target:
     def of(gaussians: Gaussians, camera: Camera) -> Target:
         """Draws the capture."""
         picture = classic.render(gaussians, camera)
-        return Target(camera, torch.from_numpy(picture.rgb).half(), torch.from_numpy(picture.alpha[..., None]).half())
+        there = picture.alpha[..., None]
+        alpha = np.where(there < SHOWN, np.maximum(SHOWN - FADE * (SHOWN - there), 0), there)
+        rgb = picture.rgb * (alpha / np.maximum(there, MIN_WEIGHT))
+        return Target(camera, torch.from_numpy(rgb).half(), torch.from_numpy(alpha).half())
 
     def over(self, background: Sequence[float]) -> torch.Tensor:
         """(H, W, 3). The picture over a background (3,)."""

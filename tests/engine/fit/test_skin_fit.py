@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from skimage.measure import perimeter
 
 from engine.fit.occlusion import CORE_PITCHES, core_of, view_of_core
 from engine.fit.skin_fit import SkinFit
+from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import NO_INTERIOR, Atoms, SurfaceAtoms
 from engine.scene.camera import Camera, cameras_around, orbit
@@ -95,3 +97,35 @@ def test_a_skin_like_its_capture_stays_and_one_with_cracks_does_not() -> None:
     cracked = Atoms(part, NO_INTERIOR, PITCH)
     assert open_part(same) < 1e-3 < open_part(cracked)
     assert SkinFit(cracked, capture, ball(), cameras, steps=40).steps == 40
+
+
+def test_a_soft_rim_becomes_no_hairs() -> None:
+    torch.set_num_threads(1)
+    rng = np.random.default_rng(10)
+    core = discs(6000, 0.05, seed=1)
+    soft = rng.normal(size=(3000, 3)).astype(np.float32)
+    soft /= np.linalg.norm(soft, axis=1, keepdims=True)
+    upright = np.tile(np.array([1, 0, 0, 0], np.float32), (3000, 1))
+    capture = Gaussians(
+        np.concatenate([core.means, soft]),
+        np.concatenate([core.scales, np.full((3000, 3), 0.1, np.float32)]),
+        np.concatenate([core.quats, upright]),
+        np.repeat(np.array([0.95, 0.05], np.float32), (6000, 3000)),
+        np.full((9000, 1, 3), -1.0, np.float32),
+    )
+    skin = discs(1500, 0.08, seed=2)
+    start = SurfaceAtoms(  # needles in the rim, as atoms of a capture's Gaussians are
+        np.concatenate([skin.means, 1.05 * soft[:500]]),
+        np.concatenate([skin.scales, np.tile(np.array([0.08, 0.04, 0.012], np.float32), (500, 1))]),
+        np.concatenate([skin.quats, rng.normal(size=(500, 4)).astype(np.float32)]),
+        np.full((2000, 1, 3), -1.0, np.float32),
+    )
+    fit = SkinFit(Atoms(start, NO_INTERIOR, PITCH), capture, ball(), cameras_around(np.zeros(3), 1.4, UP, 24, 96), 60)
+    while fit.step < fit.steps:
+        fit.advance()
+    outside, outline = 0.0, 0.0
+    for camera in cameras_around(np.zeros(3), 1.4, UP, 4, 384, turn=23.0):
+        there = classic.render(capture, camera).alpha > 0.5
+        outside += float(((opaque.render(fit.result(), camera).alpha > 0.5) & ~there).sum())
+        outline += perimeter(there)
+    assert outside / outline < 0.6  # pixels; 1.2 if all of the rim's alpha is fitted
