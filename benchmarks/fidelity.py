@@ -57,7 +57,7 @@ SAMPLES = ("watermelon", "orange", "bread")
 VIEWS, SIZE = 12, 512
 
 CLOSER, CLOSER_VIEWS = 4, 4
-"""Views with as many times the pixels, as near as a user looks: there a soft rim that was copied as hairs shows."""
+"""Times the pixels, as near as a user looks, where a soft rim that was copied as hairs shows; and how many views."""
 
 TURN = 17.0
 """Degrees by which these cameras are turned from the fitted ones, so that no view is shared."""

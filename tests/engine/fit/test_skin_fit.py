@@ -123,9 +123,9 @@ def test_a_soft_rim_becomes_no_hairs() -> None:
     fit = SkinFit(Atoms(start, NO_INTERIOR, PITCH), capture, ball(), cameras_around(np.zeros(3), 1.4, UP, 24, 96), 60)
     while fit.step < fit.steps:
         fit.advance()
-    outside, outline = 0.0, 0.0
+    found, outside, outline = fit.result(), 0.0, 0.0
     for camera in cameras_around(np.zeros(3), 1.4, UP, 4, 384, turn=23.0):
         there = classic.render(capture, camera).alpha > 0.5
-        outside += float(((opaque.render(fit.result(), camera).alpha > 0.5) & ~there).sum())
+        outside += float(((opaque.render(found, camera).alpha > 0.5) & ~there).sum())
         outline += perimeter(there)
     assert outside / outline < 0.6  # pixels; 1.2 if all of the rim's alpha is fitted
