@@ -14,6 +14,11 @@ from engine.scene.plane import frame
 __all__ = ["corners_within", "face_polygons", "section_of_box", "subtract"]
 
 Double = NDArray[np.float64]
+
+SLACK = 1e-9
+"""Share of a box's farthest coordinate by which planes are moved outwards where corners are looked for: far more than
+rounding, which else puts a section's corners on either side of its own plane, far less than a pixel."""
+
 Result = TypeVar("Result")
 
 
@@ -67,7 +72,9 @@ def section_of_box(plane: Double, low: Double, high: Double) -> Double:
 
 @cached
 def corners_within(planes: Double, low: Double, high: Double) -> Double:
-    """(V, 3). The corners of what planes (P, 4) keep of the box from low (3,) to high (3,); some occur twice."""
+    """(V, 3). The corners of what planes (P, 4) keep of the box from low (3,) to high (3,), to SLACK; some occur twice
+    or more often."""
+    slack = SLACK * float(np.abs([low, high]).max())
     sides = [
         np.append(sign * axis, -sign * end[i])
         for i, axis in enumerate(np.eye(3))
@@ -77,8 +84,7 @@ def corners_within(planes: Double, low: Double, high: Double) -> Double:
     for plane in [*sides, *planes]:
         polygon = section_of_box(plane, low, high)
         for other in planes:
-            if other is not plane:
-                polygon = clip(polygon, other[:3], float(other[3]))
+            polygon = clip(polygon, other[:3], float(other[3]) - slack)
         polygons.append(polygon)
     return np.concatenate(polygons)
 
