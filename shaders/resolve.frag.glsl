@@ -32,7 +32,7 @@ void main() {
     vec3 shares = outside_shares(vec3(here.a, rim.a, edge.w), edge.xyz);
     float alpha = shares.x + shares.y + shares.z;
     vec3 over = shares.x / max(here.a, MIN_WEIGHT) * here.rgb + shares.y / max(rim.a, MIN_WEIGHT) * rim.rgb; // premultiplied
-    if (shares.z > 0.0) over += shares.z / far.a * far.rgb;
+    if (shares.z > 0.0) over += shares.z / max(far.a, 1e-30) * far.rgb; // half floats may underflow to 0
 #ifdef FACES
     vec4 face = texelFetch(faces, at, 0);
     float face_z = texelFetch(face_depths, at, 0).r;

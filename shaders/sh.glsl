@@ -9,6 +9,10 @@ in vec4 sh[SH_VECTORS];
 #define AT(i) sh[(i) / 4][(i) % 4]
 #define COEFFICIENT(k) vec3(AT(3 * (k)), AT(3 * (k) + 1), AT(3 * (k) + 2))
 
+#ifndef SH_DEGREE // some compilers take no undefined name for 0
+#define SH_DEGREE 0
+#endif
+
 vec3 sh_colour(vec3 d) {
 #ifdef GL_ES
     vec4 sh[SH_VECTORS] = SH_UNPACKED;

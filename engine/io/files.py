@@ -34,8 +34,11 @@ __all__ = [
     "write_json",
 ]
 
-LEFTOVER = re.compile(r"\..+\.[a-z0-9_]{8}(\.\w+)?|\.tmp[A-Za-z0-9]{6}")
-"""Names of temporary files: those of `atomic`, with eight random characters, and those of safetensors."""
+MARK = "fruitninja-"
+"""Part of the name of each temporary file: users have hidden files of their own, and none of these may be removed."""
+
+LEFTOVER = re.compile(rf"\..+\.{MARK}[0-9a-f]{{8}}(\.\w+)?|\.tmp[A-Za-z0-9]{{6}}")
+"""Names of temporary files: those of `atomic`, with eight random digits, and those of safetensors."""
 
 WRITE_ERRORS = (OSError, SafetensorError)
 """Errors of writing: the system's, which Pillow, numpy and plyfile pass on, and those of safetensors."""
@@ -57,6 +60,8 @@ def open_file(path: str | Path) -> BufferedReader:
         if not stat.S_ISREG(mode):  # reading a pipe or a device might block or never end
             raise InputError(f"{path}: this is not a regular file")
         return path.open("rb")
+    except InputError:  # it is a ValueError
+        raise
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no such file") from error
     except (OSError, ValueError) as error:  # a ValueError for a name with a null character
@@ -155,7 +160,7 @@ def _restore(path: Path, backup: Path | None) -> None:
 
 def _hidden_name(path: Path) -> Path:
     """An unused hidden name in the same folder."""
-    return path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
+    return path.with_name(f".{path.stem}.{MARK}{secrets.token_hex(4)}{path.suffix}")
 
 
 def _remove(path: Path) -> None:
@@ -251,8 +256,9 @@ def locked_folder(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Removes temporary files of killed writers in a folder and below. No other process may be writing there."""
-    for path in folder.rglob(".*"):
-        if LEFTOVER.fullmatch(path.name) and path.is_file():
-            _remove(path)
+def remove_leftovers(*folders: Path) -> None:
+    """Removes temporary files of killed writers in folders, not below them. No other process may be writing there."""
+    for folder in folders:
+        for path in folder.glob(".*"):
+            if LEFTOVER.fullmatch(path.name) and path.is_file():
+                _remove(path)

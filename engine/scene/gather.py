@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from engine.scene.gaussians import Gaussians
 from engine.scene.rotations import rotation_entries
@@ -24,7 +25,7 @@ SAMPLE = 1 << 17
 """Number of Gaussians sampled to find the object's extent, to a thousandth."""
 
 LATTICE = 1 << 10
-"""Most cells along the longest side of the object: a bit for each cell takes 128 MB."""
+"""Most cells along the longest side of the object: a bit for each cell takes 180 MB."""
 
 FEWEST_CELLS = 64
 """Fewest cells along the longest side: cells coarser than those of the smallest body would round its shape."""
@@ -48,10 +49,10 @@ BLOCK = 1 << 14
 
 
 def gathered(gaussians: Gaussians, most: int) -> Gaussians:
-    """About `most` Gaussians that show the same as a larger capture; the same object if there are no more than that.
+    """Gaussians that show the same as a larger capture of more than `most`; the same object if there are no more.
 
     All small ones in a cell of a lattice become one with their mean, their covariance, the light that they stop
-    together, and their mean colour. Large ones stay as they are. The merged ones come first, in lattice order, then the
+    together, and their mean colour: about `most` of them at most. Large ones, and strays, stay as they are. The merged ones come first, in lattice order, then the
     others in the capture's order. Bit-equal for the same input.
     """
     if len(gaussians) <= most:
@@ -140,7 +141,7 @@ def _merge(gaussians: Gaussians, rows: NDArray[np.intp], starts: NDArray[np.int6
         several = np.diff(starts[first : part.stop + 1]) > 1
         sizes[several, 1:] = wide[several, 1:]
         axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-        scales[part], quats[part] = sizes, _quaternions(axes)
+        scales[part], quats[part] = sizes, Rotation.from_matrix(axes).as_quat(scalar_first=True)
         opacities[part] = -np.expm1(-light[part] / (sizes[:, 1] * sizes[:, 2]))
     return Gaussians(means, scales, quats, np.minimum(opacities, np.float32(MOST_ALPHA)), sh)
 
@@ -199,21 +200,3 @@ def _light(i, scales, opacities):
     a, b, c = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
     area = max(a * b, a * c, b * c)
     return max(-math.log1p(-min(np.float64(opacities[i]), MOST_ALPHA)), 1e-9) * max(area, 1e-30)
-
-
-def _quaternions(axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 4). Quaternions wxyz of rotation matrices (N, 3, 3) whose columns are the principal axes."""
-    trace = np.trace(axes, axis1=1, axis2=2)
-    # In the order of the squared components, the largest of which is safe to divide by (Shepperd 1978).
-    diagonal = np.stack([trace, *np.diagonal(axes, axis1=1, axis2=2).T], 1)
-    largest = diagonal.argmax(1)
-    skew = np.stack([axes[:, 2, 1] - axes[:, 1, 2], axes[:, 0, 2] - axes[:, 2, 0], axes[:, 1, 0] - axes[:, 0, 1]], 1)
-    both = axes + axes.transpose(0, 2, 1)
-    products = np.empty((len(axes), 4, 4))  # 4 q_i q_j
-    products[:, 0, 0] = 1 + trace
-    products[:, 0, 1:] = products[:, 1:, 0] = skew
-    products[:, 1:, 1:] = both
-    for k in range(3):
-        products[:, k + 1, k + 1] = 1 + 2 * axes[:, k, k] - trace
-    quats = products[np.arange(len(axes)), largest]
-    return quats / np.linalg.norm(quats, axis=1, keepdims=True)

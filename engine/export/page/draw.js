@@ -1,4 +1,4 @@
-// Draws a solid with the shaders of the desktop program: see docs/ARCHITECTURE.md, "From a cut to a frame". Lengths are
+// Draws a solid with the shaders of the desktop program: see docs/ARCHITECTURE.md, "From the mouse to pixels". Lengths are
 // edges of the cube that holds the object; matrices are column-major; cameras have OpenCV axes.
 
 const HEAD = `#version 300 es

@@ -117,8 +117,10 @@ def sections(
             x0, x1, y0, y1 = min(x0, u), max(x1, u), min(y0, v), max(y1, v)
         if unbounded:
             x0, x1, y0, y1 = 0.0, float(width), 0.0, float(height)
-        boxes[i, 0], boxes[i, 1] = int(max(math.floor(x0), 0.0)), int(min(math.ceil(x1) + 1.0, width))
-        boxes[i, 2], boxes[i, 3] = int(max(math.floor(y0), 0.0)), int(min(math.ceil(y1) + 1.0, height))
+        # Right before the eye, a point may be farther out of the picture than an integer can say.
+        x0, x1 = min(max(math.floor(x0), 0.0), width), max(min(math.ceil(x1) + 1.0, width), 0.0)
+        y0, y1 = min(max(math.floor(y0), 0.0), height), max(min(math.ceil(y1) + 1.0, height), 0.0)
+        boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3] = int(x0), int(x1), int(y0), int(y1)
         if boxes[i, 0] >= boxes[i, 1] or boxes[i, 2] >= boxes[i, 3]:
             boxes[i, :] = 0
             continue

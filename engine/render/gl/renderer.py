@@ -251,6 +251,8 @@ class Renderer:
             return None
         blending, self._gradual = self._gradual, None
         self._resize(camera.width, camera.height)
+        if self._software is not None:
+            self._software.reset()
         frame = self._frames[0]
         blending.resolve(frame, np.asarray(background, np.float64))
         self._camera, self._is_replaced = camera, False

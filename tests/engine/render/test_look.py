@@ -289,3 +289,11 @@ def test_no_shader_repeats_a_constant() -> None:
             for literal in number.findall(code):
                 near = [name for value, name in known.items() if math.isclose(float(literal), value, rel_tol=1e-4)]
                 assert not near, f"{path.name}: {literal} is {near[0]}"
+
+
+@pytest.mark.parametrize("name", [path.name for path in files("shaders").iterdir() if path.name.endswith(".glsl")])
+def test_a_shader_compares_only_what_is_defined(name: str) -> None:
+    """Some compilers refuse `#if` with an undefined name, which others take for 0."""
+    code = source(name, CONSTANTS)
+    for compared in re.finditer(r"^#(?:el)?if +(\w+)", code, re.MULTILINE):
+        assert f"#define {compared[1]} " in code[: compared.start()], compared[0]
