@@ -95,7 +95,7 @@ class Pipeline:
         result = self.out / self.request.result_name
         if result.exists() and result.samefile(self.request.scene):
             raise InputError(f"{result}: the result would replace the capture itself; give another folder")
-        remove_leftovers(self.out)
+        remove_leftovers(self.out, self.out / "checkpoint", self.out / "previews")
         if not resume:
             self.checkpoint.clear()
         torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them

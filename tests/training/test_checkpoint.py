@@ -58,15 +58,19 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_killed_writer_leaves_nothing_after_the_next_start(tmp_path):
-    keep = tmp_path / ".settings.json"
-    keep.touch()
+def test_a_killed_writer_leaves_nothing_after_the_next_start(tmp_path: Path) -> None:
+    """And hidden files of the user stay, in a folder that results are written to and below it."""
+    names = ".settings.json", ".env.template", ".zshrc.20240131", ".bashrc.original", "deep/.notes.deadbeef.txt"
+    mine = [tmp_path / name for name in names]
+    (tmp_path / "deep").mkdir()
+    for path in mine:
+        path.touch()
     writer = atomic(tmp_path / "previews/radial_001.png")
     left = writer.__enter__()
     assert left.exists()
-    remove_leftovers(tmp_path)
+    remove_leftovers(tmp_path, tmp_path / "previews")
     assert not left.exists()
-    assert keep.exists()
+    assert all(path.exists() for path in mine)
 
 
 def test_events_are_json_lines_whatever_the_numbers():

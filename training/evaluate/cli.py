@@ -49,7 +49,8 @@ def evaluate(
         out.absolute(),
     )
     with locked_folder(out):
-        remove_leftovers(out)
+        below = (path for name in ("results", "scenes", "truth") for path in (out / name, *(out / name).rglob("*/")))
+        remove_leftovers(out, *below)  # a run clears its own folder
         failed = run_locally(grid, on_change) if scheduler is None else run_on_cluster(scheduler, grid, on_change)
         page = write_report(grid, failed, out)
     print_result(str(page))

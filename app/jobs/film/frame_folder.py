@@ -29,8 +29,8 @@ def save_frames(folder: Path, settings: dict[str, Any], frames: Iterable[Callabl
     not drawn again. Raises InputError if the folder has other frames, or if it cannot be written.
     """
     with locked_folder(folder):
-        remove_leftovers(folder)
         _claim(folder, settings)
+        remove_leftovers(folder)
         drawn = 0
         for number, draw in enumerate(frames):
             path = folder / f"frame_{number:05d}.png"
