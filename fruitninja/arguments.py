@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import operator
 import os
 from collections.abc import Callable, Iterable, Sequence
 from typing import cast, get_args
@@ -21,13 +23,16 @@ __all__ = [
     "PlaneLike",
     "Progress",
     "Shape",
+    "Shapes",
     "UpLike",
     "as_detail",
+    "as_inks",
     "as_isolation",
     "as_plane",
     "as_points",
     "as_seed",
     "as_up",
+    "check_view",
 ]
 
 PathLike = str | os.PathLike[str]
@@ -40,6 +45,9 @@ UpLike = str | Sequence[float] | NDArray[np.floating]
 
 Shape = Box | Sphere | Below
 """A shape that the command's --keep can name."""
+
+Shapes = Shape | Iterable[Shape | None]
+"""Shapes, or a single one. None among them, as `Capture.middle` may be, is no shape."""
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and the part of it that is done, range [0, 1]."""
@@ -96,7 +104,37 @@ def as_detail(given: str) -> DetailName:
     return cast(DetailName, given)
 
 
-def as_isolation(keep: Iterable[Shape]) -> Isolation:
-    """The isolation that keeps only what at least one of the shapes contains; without shapes it keeps everything."""
-    shapes = tuple(keep)
+def as_isolation(keep: Shapes) -> Isolation:
+    """The isolation that keeps only what at least one of the shapes contains; without shapes it keeps everything.
+    Raises InputError for anything else."""
+    try:
+        shapes = tuple(shape for shape in ((keep,) if isinstance(keep, Shape) else keep) if shape is not None)
+    except TypeError:
+        raise InputError(f"keep {keep!r}: give a list of shapes") from None
+    for shape in shapes:
+        if not isinstance(shape, Shape):
+            raise InputError(f"keep {shape!r}: give shapes, such as fruitninja.Sphere(centre, radius)")
     return (keep_only(*shapes),) if shapes else ()
+
+
+def as_inks(given: Iterable[Sequence[int]]) -> tuple[tuple[int, int, int], ...]:
+    """Colours of a printer's materials. Raises InputError unless each is three whole numbers from 0 to 255."""
+    inks = []
+    for ink in given:
+        try:
+            red, green, blue = (operator.index(value) for value in ink)
+        except (TypeError, ValueError):
+            red = green = blue = -1
+        if not all(0 <= value <= 255 for value in (red, green, blue)):
+            raise InputError(f"ink {ink!r}: give three whole numbers from 0 to 255")
+        inks.append((red, green, blue))
+    return tuple(inks)
+
+
+def check_view(azimuth: float | None, elevation: float | None, distance: float | None) -> None:
+    """Raises InputError unless those that are given are angles and a distance."""
+    for name, angle in (("azimuth", azimuth), ("elevation", elevation)):
+        if angle is not None and not math.isfinite(angle):
+            raise InputError(f"{name} {angle:g}: give an angle in degrees")
+    if distance is not None and not 0 < distance < math.inf:
+        raise InputError(f"distance {distance:g}: give a number above 0; 1 fits the object into the picture")

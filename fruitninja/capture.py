@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -18,7 +17,7 @@ from engine.isolate.selection import Sphere, isolated, without_surroundings
 from engine.isolate.surroundings import object_ball
 from engine.scene.gaussians import Gaussians
 from engine.solid.up_axis.detect import detect_up
-from fruitninja.arguments import PathLike, Progress, Shape, UpLike, as_detail, as_isolation, as_seed, as_up
+from fruitninja.arguments import PathLike, Progress, Shapes, UpLike, as_detail, as_isolation, as_seed, as_up
 from fruitninja.solid import Solid, Whole
 from training.settings import DETAILS
 
@@ -87,7 +86,7 @@ class Capture:
         *,
         detail: str = "standard",
         up: UpLike | None = None,
-        keep: Iterable[Shape] = (),
+        keep: Shapes = (),
         seed: int = 0,
         progress: Progress | None = None,
     ) -> Solid:

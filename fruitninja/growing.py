@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,7 +14,7 @@ from engine.errors import InputError
 from engine.io.files import locked_folder
 from engine.io.trained import load_trained
 from engine.threads import one_thread_for_torch
-from fruitninja.arguments import PathLike, Progress, Shape, UpLike, as_detail, as_isolation, as_seed, as_up
+from fruitninja.arguments import PathLike, Progress, Shapes, UpLike, as_detail, as_isolation, as_seed, as_up
 from fruitninja.capture import Capture
 from fruitninja.solid import Solid, Whole
 from training.cli import parse_families
@@ -23,8 +23,8 @@ from training.request import Request
 
 __all__ = ["grow"]
 
-Pictures = PathLike | Sequence[PathLike]
-"""Pictures of cut faces, or folders of them; a single one needs no list."""
+Pictures = PathLike | Sequence[PathLike] | None
+"""Pictures of cut faces, or folders of them; a single one needs no list, and None is an empty one."""
 
 
 def grow(
@@ -35,7 +35,7 @@ def grow(
     parallel: Pictures = (),
     detail: str = "standard",
     up: UpLike | None = None,
-    keep: Iterable[Shape] = (),
+    keep: Shapes = (),
     same: bool = False,
     seed: int = 0,
     out: PathLike | None = None,
@@ -81,7 +81,7 @@ def grow(
 
 
 def _listed(pictures: Pictures) -> Sequence[PathLike]:
-    return [pictures] if isinstance(pictures, str | os.PathLike) else pictures
+    return [pictures] if isinstance(pictures, str | os.PathLike) else pictures or ()
 
 
 def _trained(request: Request, out: Path, listener: _Listener) -> Whole:

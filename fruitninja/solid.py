@@ -26,7 +26,7 @@ from engine.scene.grid import Body
 from engine.scene.inside import Inside
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from fruitninja.arguments import PathLike, PlaneLike, as_plane, as_points
+from fruitninja.arguments import PathLike, PlaneLike, as_inks, as_plane, as_points, check_view
 from fruitninja.drawing import (
     MARGIN,
     ball_around,
@@ -217,8 +217,7 @@ class Solid:
         If none of the first three is given, it frames what is left and sees the cut faces.
         """
         check_size(*size)
-        if distance is not None and not 0 < distance < np.inf:
-            raise InputError(f"distance {distance:g}: give a number above 0; 1 fits the object into the picture")
+        check_view(azimuth, elevation, distance)
         angles = None
         if not azimuth is elevation is distance is None:
             around, above = default_angles(self.planes, self.up)
@@ -280,7 +279,7 @@ class Solid:
         [0, 255]: each voxel of a stack (.zip) is then one of them. docs/EXPORT.md describes the files.
         """
         whole = self._whole
-        wanted = pieces, step, metres, tuple(inks)
+        wanted = pieces, step, metres, as_inks(inks)
         export = Export(whole.source, self.atoms, self.inside, whole.meta, self.planes, Path(path), *wanted)
         return write_export(export, kind)
 
@@ -304,8 +303,7 @@ class Solid:
         out, whole = Path(path), self._whole
         if out.suffix.lower() not in PAGES:
             raise InputError(f"{out}: a page is saved as {PAGES[0]}; give a name that ends so")
-        if distance is not None and not 0 < distance < np.inf:
-            raise InputError(f"distance {distance:g}: give a number above 0; 1 fits the object into the picture")
+        check_view(azimuth, elevation, distance)
         points = np.concatenate([self.atoms.surface.means, self.atoms.interior.means]).astype(np.float64)
         middle = self.atoms.bounds.astype(np.float64).mean(0)
         planes = self.planes or (Plane.through(middle, self.up),)

@@ -64,12 +64,12 @@ class Reporter:
                 raise InputError("--events -: standard output is closed; give a file")
         elif events is not None:
             stream = LineWriter(events)
-        console = Console(stderr=True)
+        console = Console(stderr=True, highlight=False, markup=False, emoji=False)  # names are printed as they are
         display = Progress(
             TextColumn("{task.description:<20}"),
             BarColumn(),
             TextColumn("{task.percentage:>3.0f}%"),
-            TextColumn("{task.fields[detail]}"),
+            TextColumn("{task.fields[detail]}", markup=False),
             TimeRemainingColumn(),
             console=console,
             disable=quiet or not console.is_terminal,
@@ -115,7 +115,7 @@ class Reporter:
         """Reports a one-line warning."""
         self.emit("warning", message=message)
         if self.display is not None:
-            self.display.console.print(f"warning: {message}", style="yellow", highlight=False, soft_wrap=True)
+            self.display.console.print(f"warning: {message}", style="yellow", soft_wrap=True)
 
 
 class Stage:

@@ -21,6 +21,7 @@ from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views, views_after
 from engine.io.file_axes import FileAxes
 from engine.io.files import remove_leftovers
 from engine.io.load import load
+from engine.io.trained import is_trained
 from engine.isolate.bodies import find_bodies
 from engine.isolate.selection import isolated, without_surroundings
 from engine.isolate.surroundings import object_ball
@@ -95,6 +96,8 @@ class Pipeline:
         result = self.out / self.request.result_name
         if result.exists() and result.samefile(self.request.scene):
             raise InputError(f"{result}: the result would replace the capture itself; give another folder")
+        if result.exists() and not is_trained(result):
+            raise InputError(f"{result}: is in the way, and no result of an earlier run; give another folder")
         remove_leftovers(self.out, self.out / "checkpoint", self.out / "previews")
         if not resume:
             self.checkpoint.clear()

@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -121,7 +122,8 @@ class Request:
                 digest.update(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}".encode())
         settings = asdict(self)
         del settings["compact"]  # the same object in another file format: a stopped run may end as either
-        digest.update(json.dumps(settings, sort_keys=True, default=str).encode())
+        # Paths by their names alone: their content is in the digest, wherever they lie.
+        digest.update(json.dumps(settings, sort_keys=True, default=attrgetter("name")).encode())
         return digest.hexdigest()[:16]
 
     def to_json(self) -> str:

@@ -33,6 +33,7 @@ __all__ = [
     "ANIMATIONS",
     "FASTEST_GIF",
     "RATE",
+    "STILLS",
     "Draw",
     "ffmpeg",
     "save_animation",
@@ -46,6 +47,7 @@ __all__ = [
 Draw = Callable[[Camera, Sequence[Piece]], NDArray[np.uint8]]
 """Draws pieces as an RGBA picture (H, W, 4) with straight alpha."""
 
+STILLS = (".png", ".webp", ".jpg", ".jpeg")
 ANIMATIONS = (".webp", ".gif", ".mp4")
 
 COARSE = 256
@@ -75,7 +77,7 @@ Frames = Iterable[NDArray[np.uint8]]
 def save_still(path: Path, rgba: NDArray[np.uint8], transparent: bool = True) -> None:
     """Saves a picture (H, W, 4) as PNG, WebP or JPEG, by the path's suffix. Raises InputError for any other."""
     suffix = path.suffix.lower()
-    if suffix not in (".png", ".webp", ".jpg", ".jpeg"):
+    if suffix not in STILLS:
         raise InputError(f"{path}: pictures are saved as .png, .webp or .jpg")
     image = Image.fromarray(rgba, "RGBA")
     if not transparent or suffix in (".jpg", ".jpeg"):

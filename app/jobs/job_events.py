@@ -80,8 +80,6 @@ class Progress:
     result: Path | None = None
     """The finished scene."""
     report: Path | None = None
-    lines: int = 0
-    """Number of lines read, including broken ones."""
 
     def resumed(self) -> Progress:
         """The progress that a run resumed from a checkpoint starts with: curves and pictures stay."""
@@ -92,13 +90,11 @@ class Progress:
             previews=self.previews,
             fraction=self.fraction,
             begun=self.fraction,
-            lines=self.lines,
         )
 
 
 def read_line(progress: Progress, line: bytes) -> None:
     """Applies one event. A line that is not an event (cut short by a crash, or from a later version) is ignored."""
-    progress.lines += 1
     try:
         event = json.loads(line)
     except (ValueError, RecursionError):

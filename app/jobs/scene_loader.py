@@ -20,6 +20,7 @@ from app.model.rigid_transform import Vec3
 from app.translation import _
 from engine.errors import InputError
 from engine.io.fields import Fields
+from engine.io.files import reason
 from engine.io.mapped import map_arrays
 from engine.io.scratch import Scratch
 from engine.isolate.record import isolation_record, read_isolation
@@ -195,6 +196,15 @@ class SceneLoader:
 
     def _listen(self) -> None:
         """Reads the lines, and the files that they name, in a thread of its own."""
+        try:
+            self._read_lines()
+        except Exception as error:  # otherwise the window would wait for a dead thread
+            name = self.request.scene.name
+            self._queue.put(({"error": f"{name}: opening it failed ({reason(error)})", "end": True}, {}))
+        atexit.unregister(self._clear)
+        self._clear()
+
+    def _read_lines(self) -> None:
         assert self._process.stdout is not None
         ended = False
         with self._process.stdout as lines:
@@ -214,8 +224,6 @@ class SceneLoader:
             last = self._errors.decode("utf-8", "replace").strip().splitlines()[-1:] or ["it gave no reason"]
             name = self.request.scene.name
             self._queue.put(({"error": f"{name}: opening it failed ({last[0]})", "end": True}, {}))
-        atexit.unregister(self._clear)
-        self._clear()
 
     def _read_inside(self) -> None:
         """Reads the inside of the trained object whose atoms have arrived."""

@@ -51,6 +51,8 @@ class Autosave:
         self.file = self.folder / f"{os.getpid()}-{time.time_ns()}{SUFFIX}"
         self.last: Project | None = None
         self.next = 0.0
+        self._taken: list[UnsavedWork] = []
+        """Work taken over whose files are still the only ones."""
 
     def update(self, project: Project, changed: bool, target: Path | None, now: float | None = None) -> bool:
         """Writes the project if an autosave is due and it differs from the last one; True if it was written.
@@ -72,13 +74,25 @@ class Autosave:
         note["name"] = named.stem if named else ""
         write_json(_note(self.file), note)
         self.last = project
+        self._discard_taken()
         return True
+
+    def take_over(self, work: UnsavedWork) -> None:
+        """Goes on with the work of a session that crashed. Its file is removed once this session has written its own,
+        which is due at once."""
+        self._taken.append(work)
+        self.last, self.next = None, 0.0
 
     def clear(self) -> None:
         """Removes the autosave, since nothing is unsaved."""
         if self.last is not None:
             _remove_autosave(self.file)
             self.last = None
+        self._discard_taken()
+
+    def _discard_taken(self) -> None:
+        while self._taken:
+            self._taken.pop().discard()
 
 
 NOTE_LIMIT = 1 << 16

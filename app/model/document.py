@@ -265,6 +265,9 @@ class Document:
         family = self.family(kind)
         if family is None or kind == to:
             return self
+        other = self.family(to)
+        if other is not None and path in other.exemplars:  # with marks of its own
+            return self.without_exemplar(kind, path)
         document = self.without_exemplar(kind, path).with_exemplars(to, (path,))
         return document.with_marks(to, path, family.marks_of(path))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,20 +92,24 @@ class ProjectFiles:
         self.training.forget()
         for document in documents:
             self.training.find_job(document)
-        if workspace.document.scene is not None:
-            result = self.training.result_for(workspace.document)
-            self.scene.load(result, opened=opened and result is None)
+        if workspace.document.scene is None:
+            self._stop_loading()
+            return
+        result = self.training.result_for(workspace.document)
+        self.scene.load(result, opened=opened and result is None)
 
     def close_scene(self) -> None:
         """Closes what is open, after asking about unsaved changes."""
         self.after_saving(self._open_nothing)
 
     def _open_nothing(self) -> None:
+        self.open_document(Document(), Viewing())
+
+    def _stop_loading(self) -> None:
+        """Nothing is loaded, and nothing comes back in its place."""
         if self.workspace.loader is not None:
             self.workspace.loader.cancel()
-            self.workspace.loader = None
-        self.open_document(Document(), Viewing())
-        self._before = None
+        self.workspace.loader = self._before = None
 
     def tick(self) -> None:
         """Goes back to what was open before if the new scene could not be read. Called once a frame."""
@@ -184,7 +188,7 @@ class ProjectFiles:
         self._before = None  # recovered work stays open even if its scene cannot be read
         self.workspace.history.saved = None  # still unsaved
         self.workspace.notify(_("Your unsaved work is back. Save it to keep it."))
-        work.discard()
+        self.workspace.autosave.take_over(work)
 
     @property
     def recent_name(self) -> str | None:
@@ -208,7 +212,6 @@ class ProjectFiles:
             if self.choose_path is not None:
                 self.choose_path(lambda chosen: self.save(chosen, then))
             return
-        path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
         try:
             save_project(path, self.workspace.project)
             # A project that the user saved here is opened again without asking.
@@ -221,6 +224,23 @@ class ProjectFiles:
         self.workspace.change_settings(settings)
         self.workspace.notify(_("Saved {name}.").format(name=path.name))
         then()
+
+    def write(self, paths: Sequence[Path], asked: bool, act: Callable[[], None]) -> None:
+        """Calls `act`, which writes files, unless one of them is open here; asks before others are replaced, if a
+        dialog has not `asked`."""
+        there = [path for path in paths if path.exists()]
+        results = [self.training.result_for(document) for document in self.workspace.documents]
+        used = [document.scene for document in self.workspace.documents] + results
+        for path in there:
+            if any(file is not None and file.exists() and path.samefile(file) for file in used):
+                self.workspace.show_error(_("{path}: is open here; give another name").format(path=path))
+                return
+        if asked or not there:
+            act()
+            return
+        names = ", ".join(path.name for path in there[:PATHS_LISTED]) + ", ..." * (len(there) > PATHS_LISTED)
+        text = _("Already in this folder: {names}").format(names=names)
+        self.workspace.ask(_("Replace what is there?"), text, Choice(_("Replace"), act, main=True))
 
     def close(self) -> None:
         """Closes the session, after asking about unsaved changes, a film that is being saved and a running job."""

@@ -75,7 +75,11 @@ class Menus:
         self.shortcuts_shown = False
         """Whether the list of shortcuts is open."""
         session.files.choose_path = lambda then: dialogs.save(
-            _("Save the project"), self.suggested_path(), [_("FruitNinja project"), f"*{SUFFIX}"], then
+            _("Save the project"),
+            self.suggested_path(),
+            [_("FruitNinja project"), f"*{SUFFIX}"],
+            [SUFFIX],
+            lambda path, asked: session.files.write([path], asked, lambda: then(path)),
         )
         self.commands = self._commands()
 

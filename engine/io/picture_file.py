@@ -43,7 +43,10 @@ program."""
 
 PICTURES = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".heic", ".avif")
+PICTURE_SUFFIXES = (
+    *(".png", ".jpg", ".jpeg", ".jfif", ".webp", ".bmp", ".gif"),
+    *(".tif", ".tiff", ".avif", ".heic", ".heif", ".hif"),
+)
 """Name endings, in lower case, by which pictures of cut faces are picked out of a folder or of dropped files."""
 
 MAX_PIXELS = 89_478_485

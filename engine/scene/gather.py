@@ -52,8 +52,8 @@ def gathered(gaussians: Gaussians, most: int) -> Gaussians:
     """Gaussians that show the same as a larger capture of more than `most`; the same object if there are no more.
 
     All small ones in a cell of a lattice become one with their mean, their covariance, the light that they stop
-    together, and their mean colour: about `most` of them at most. Large ones, and strays, stay as they are. The merged ones come first, in lattice order, then the
-    others in the capture's order. Bit-equal for the same input.
+    together, and their mean colour: about `most` of them at most. Large ones, and strays, stay as they are. The merged
+    ones come first, in lattice order, then the others in the capture's order. Bit-equal for the same input.
     """
     if len(gaussians) <= most:
         return gaussians

@@ -222,6 +222,10 @@ def test_corrections_are_undone_saved_and_reach_the_request(tmp_path: Path, melo
     radial, horizontal = moved.family("radial"), moved.family("horizontal")
     assert radial is not None and radial.marks_of(melon) == given and horizontal is not None and not horizontal.marks
     assert not moved.without_exemplar("radial", melon).families[1].marks
+    # To a family that has it already, with marks of its own: these stay.
+    both = kept.with_exemplars("radial", (melon,)).with_marks("radial", melon, Marks(CIRCLE))
+    radial = both.moved_exemplar(melon, "horizontal", "radial").family("radial")
+    assert radial is not None and radial.exemplars == (melon,) and radial.marks_of(melon) == Marks(CIRCLE)
     session.faces.edit("horizontal", melon)
     face = session.faces.open_face
     assert face is not None

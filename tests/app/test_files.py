@@ -189,8 +189,40 @@ def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
     note.write_text(json.dumps(json.loads(note.read_text()) | {"started": 1.0}))  # another process has that id now
     found = find_unsaved_work(tmp_path)
     assert len(found) == 1 and found[0].load() == project and found[0].project == tmp_path / "p.fruitninja"
-    found[0].discard()
+    # Taken over, it is kept until this session has written its own, even if that fails at first.
+    session = Autosave(tmp_path)
+    session.update(replace(project, viewing=Viewing()), changed=True, target=None, now=1)
+    session.take_over(found[0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("app.model.autosave.save_project", full_disk)
+        with pytest.raises(InputError):
+            session.update(project, changed=True, target=None, now=2)
+    assert found[0].load() == project
+    session.update(project, changed=True, target=None, now=20)
+    assert load_project(session.file, outside=True) == project and not found[0].file.exists()
+    session.clear()
     assert find_unsaved_work(tmp_path) == [] and not list(tmp_path.iterdir())
+
+
+def full_disk(*_: object) -> None:
+    raise InputError("no space left")
+
+
+def test_files_are_replaced_only_if_the_user_agrees(tmp_path: Path) -> None:
+    scene, other, new = tmp_path / "melon.ply", tmp_path / "old.ply", tmp_path / "new.ply"
+    scene.touch()
+    other.touch()
+    session = Session(history=History(Work((Document(scene=scene),))))
+    done: list[Path] = []
+    session.files.write([new], False, lambda: done.append(new))
+    session.files.write([other], True, lambda: done.append(other))
+    assert done == [new, other] and session.question is None
+    session.files.write([new, other], False, lambda: done.append(scene))
+    assert session.question is not None and "old.ply" in session.question.text and done == [new, other]
+    session.answer(session.question.choices[0])
+    assert done == [new, other, scene]
+    session.files.write([scene], True, lambda: done.append(scene))
+    assert "melon.ply: is open here" in session.error and len(done) == 3
 
 
 def test_what_the_user_does_not_save_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,7 +275,7 @@ def test_pictures_of_recent_files_tell_no_names_and_go_with_them(
 
 
 def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    answers: list[object] = [[], ["a.spz"], "", "b.png", [], ["c.png", "d.png"]]
+    answers: list[object] = [[], ["a.spz"], "", "b.JPG", "b v1.2", [], ["c.png", "d.png"]]
     asked: list[tuple[object, ...]] = []
 
     class Fake:
@@ -266,13 +298,13 @@ def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatc
         dialogs.show()
     assert got == [Path("a.spz")] and dialogs.dialog is None
     assert all(f"*{suffix}" in str(asked[0][2]) for suffix in (".ply", ".splat", ".spz", ".obj", ".fruitninja"))
-    for _ in range(2):
-        dialogs.save("Save", tmp_path / "x.png", ["PNG", "*.png"], got.append)
+    for _ in range(3):
+        dialogs.save("Save", tmp_path / "x.png", ["PNG", "*.png"], [".png", ".jpg"], lambda *answer: got.append(answer))
         dialogs.show()
     for _ in range(2):
         dialogs.open_pictures(got.append)
         dialogs.show()
-    assert got == [Path("a.spz"), Path("b.png"), (Path("c.png"), Path("d.png"))]
+    assert got == [Path("a.spz"), (Path("b.JPG"), True), (Path("b v1.2.png"), False), (Path("c.png"), Path("d.png"))]
 
 
 def test_what_cannot_be_read_leaves_what_is_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

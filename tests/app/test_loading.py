@@ -18,7 +18,7 @@ import fruitninja
 from app.jobs import coarse_picture as module
 from app.jobs import scene_worker
 from app.jobs.coarse_picture import coarse_picture
-from app.jobs.scene_loader import LoadedObject, SceneRequest
+from app.jobs.scene_loader import LoadedObject, SceneLoader, SceneRequest
 from app.model.autosave import Autosave
 from app.model.document import Document
 from app.model.history import History
@@ -96,6 +96,26 @@ def test_the_window_ends_with_the_skin_that_solidify_fits(
     skin = load_file(sent[0]["file"])
     for name in ("means", "scales", "quats", "sh"):
         assert np.array_equal(skin[name], getattr(solid.atoms.surface, name)), name
+
+
+def test_a_result_that_cannot_be_held_ends_loading(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Process:
+        stdout, stderr = io.StringIO('{"ready": "atoms", "file": "none"}\n'), io.BytesIO()
+        stdin = io.BytesIO()
+        wait = kill = staticmethod(lambda: None)
+
+    def too_large(_: Path) -> None:
+        raise MemoryError("no room for 9 GB")
+
+    monkeypatch.setattr("app.jobs.scene_loader.start_python", lambda *_, **__: Process())
+    monkeypatch.setattr("app.jobs.scene_loader.map_arrays", too_large)
+    loader = SceneLoader(SceneRequest(SCENE / "watermelon.ply"))
+    end = time.monotonic() + 20
+    while not loader.ended:
+        assert time.monotonic() < end
+        loader.poll()
+        time.sleep(0.01)
+    assert loader.error == "watermelon.ply: opening it failed (no room for 9 GB)"
 
 
 class Loader:

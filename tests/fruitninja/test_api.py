@@ -248,6 +248,11 @@ def test_what_cannot_be_is_one_line(solid: fruitninja.Solid, tmp_path: Path) -> 
         (lambda: solid.colours([[1, 2]]), "points of shape (1, 2)"),
         (lambda: solid.section((0, 0, 1, 0), 0), "size 0x0"),
         (lambda: solid.render(distance=0), "distance 0"),
+        (lambda: solid.render(azimuth=float("nan")), "azimuth nan: give an angle"),
+        (lambda: solid.html(tmp_path / "a.html", elevation=float("inf")), "elevation inf: give an angle"),
+        (lambda: solid.export(tmp_path / "a.zip", inks=["#fff", "#000"]), "ink '#fff': give three whole numbers"),  # type: ignore[list-item]
+        (lambda: fruitninja.grow(scene, radial=scene, keep="box:0,0,0,1"), "keep 'b': give shapes"),  # type: ignore[arg-type]
+        (lambda: fruitninja.grow(scene, radial=scene, keep=[None], detail="fine"), "detail 'fine': unknown"),
         (lambda: solid.cut((0, 0, 1, 0)).save(tmp_path / "a.ply"), "only a whole object"),
         (lambda: solid.save(tmp_path / "a.glb"), "saved as .ply or .spz"),
         (lambda: solid.export(tmp_path / "a.doc"), "a.doc: an object is saved as"),

@@ -189,6 +189,29 @@ def test_the_command_asks_for_a_compact_result(tmp_path: Path, monkeypatch: pyte
     assert [request.result_name for request in asked] == ["bread.ply", "bread.spz"]
 
 
+def test_a_result_replaces_no_file_of_the_user(tmp_path: Path) -> None:
+    (tmp_path / "melon.spz").write_bytes(b"the capture")
+    (tmp_path / "melon.ply").write_bytes(b"what it was made from")
+    request = Request(tmp_path / "melon.spz", (Family("radial", 3),))
+    with pytest.raises(InputError, match="is in the way"):
+        run(request, tmp_path, Reporter.open(None), False, lambda: False)
+    assert (tmp_path / "melon.ply").read_bytes() == b"what it was made from"
+
+
+def test_the_same_files_elsewhere_are_the_same_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in (tmp_path / "here", tmp_path / "there"):
+        folder.mkdir()
+        for name in ("melon.ply", "cut.png", "other.png"):
+            (folder / name).write_bytes(name.encode())
+    monkeypatch.chdir(tmp_path / "here")
+    prints = [
+        Request(folder / "melon.ply", (Family("radial", 3, (folder / picture,)),)).fingerprint()
+        for folder in (Path(), tmp_path / "here", tmp_path / "there")
+        for picture in ("cut.png", "other.png")
+    ]
+    assert prints[::2] == prints[:1] * 3 and prints[1::2] == prints[1:2] * 3 and prints[0] != prints[1]
+
+
 @pytest.mark.parametrize("compact", [False, True])
 def test_a_result_never_replaces_its_capture(tmp_path: Path, compact: bool) -> None:
     scene = tmp_path / ("a.spz" if compact else "a.ply")

@@ -51,9 +51,9 @@ def batch(
     tasks = [scene_task(scene.name, scene.request, out / scene.name) for scene in scenes]
     gigabytes = max(GIGABYTES_PER_RUN[scene.request.detail] for scene in scenes)
     summary = Summary(out / "batch.json", manifest)
-    summary.write(())  # fails now, rather than after hours, if it cannot be written
     stop.listen()
     with locked_folder(out), ProgressDisplay(tasks) as display:
+        summary.write(())  # fails now, rather than after hours, if it cannot be written
         outcomes_by_name = {task.name: Outcome(task) for task in tasks}
 
         def on_change(outcome: Outcome, event: dict[str, Any]) -> None:

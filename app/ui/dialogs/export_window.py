@@ -6,6 +6,7 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
 
+from app.jobs.export import STILLS
 from app.translation import _
 from app.ui.dialogs.exporter import Exporter, Options
 from app.ui.dialogs.file_dialogs import FileDialogs
@@ -105,10 +106,14 @@ class ExportWindow:
         name = folder / f"{stem}_{o.kind}{suffix}"
         self.requested = False
 
-        def then(path: Path) -> None:
-            self.exporter.run(o, path if path.suffix else path.with_suffix(suffix))
+        def then(path: Path, asked: bool) -> None:
+            paths = self.exporter.targets(o, path)
+            files = self.exporter.session.files
+            files.write(paths, asked and paths == [path], lambda: self.exporter.run(o, path))
 
-        self.dialogs.save(TITLES[o.kind], name, [suffix[1:].upper(), f"*{suffix}"], then)
+        suffixes = {"pieces": tuple(SPLAT_WRITERS), "meshes": KINDS["mesh"].suffixes}.get(o.kind) or STILLS
+        own = [suffix, *(other for other in suffixes if other != suffix)]
+        self.dialogs.save(TITLES[o.kind], name, [suffix[1:].upper(), f"*{suffix}"], own, then)
 
     def _show_progress(self) -> None:
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))

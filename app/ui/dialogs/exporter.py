@@ -74,6 +74,12 @@ class Exporter:
         except InputError as error:
             self.session.show_error(error)
 
+    def targets(self, options: Options, path: Path) -> list[Path]:
+        """The files that `run` writes."""
+        if options.kind != "pieces" or not options.separate:
+            return [path]
+        return [_numbered(path, number) for number in range(1, len(self.session.members) + 1)]
+
     def step(self) -> None:
         """Tells the user when meshes have been saved. Called once a frame."""
         if self._thread is None:
@@ -138,10 +144,10 @@ class Exporter:
             session.notify(_("Saved {count:,} Gaussians in {name}.").format(count=count, name=path.name))
             return
         for number, piece in enumerate(pieces, 1):
-            save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), [piece], session.view_up)
+            save_pieces(_numbered(path, number), [piece], session.view_up)
         session.notify(
             ngettext("Saved {count} piece as {name}.", "Saved {count} pieces beside {name}.", len(pieces)).format(
-                count=len(pieces), name=f"{path.stem}_1{path.suffix}"
+                count=len(pieces), name=_numbered(path, 1).name
             )
         )
 
@@ -174,3 +180,8 @@ class Exporter:
 
     def _draw(self, camera: Camera, pieces: Sequence[Piece]) -> Frame:
         return self.painter.picture(self.session, camera, pieces)
+
+
+def _numbered(path: Path, number: int) -> Path:
+    """The file of one of several pieces."""
+    return path.with_name(f"{path.stem}_{number}{path.suffix}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,13 +69,26 @@ class FileDialogs:
         """Asks for one or several pictures."""
         self._open(_("Choose pictures of a cut face"), IMAGES, then, several=True)
 
-    def save(self, title: str, suggestion: Path, kinds: list[str], then: Callable[[Path], None]) -> None:
-        """Asks for the path of a new file."""
+    def save(
+        self,
+        title: str,
+        suggestion: Path,
+        kinds: list[str],
+        suffixes: Sequence[str],
+        then: Callable[[Path, bool], None],
+    ) -> None:
+        """Asks for the path of a new file, which gets the first of `suffixes` unless it ends in one of them. `then` is
+        also told whether the system's dialog has asked about replacing what is there."""
+
+        def finish(paths: tuple[Path, ...]) -> None:
+            (path,) = paths
+            whole = not suffixes or path.suffix.lower() in suffixes
+            then(path if whole else path.with_name(path.name + suffixes[0]), self.native and whole)
+
         if self.native:
-            dialog = pfd.save_file(title, str(suggestion), kinds)
-            self.dialog = NativeDialog(dialog, lambda paths: then(paths[0]))
+            self.dialog = NativeDialog(pfd.save_file(title, str(suggestion), kinds), finish)
         else:
-            self.prompt = PathPrompt(title, str(suggestion), lambda paths: then(paths[0]))
+            self.prompt = PathPrompt(title, str(suggestion), finish)
 
     def choose_folder(self, title: str, start: Path, then: Callable[[Path], None]) -> None:
         """Asks for a folder."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -109,10 +110,11 @@ class FilmWindow:
         name = (scene.parent if scene else Path.home()) / f"{scene.stem if scene else 'object'}_film{suffix}"
         kinds = [suffix[1:].upper(), f"*{suffix}"] if suffix else [_("Folder of pictures"), "*"]
 
-        def then(path: Path) -> None:
-            session.film.save(path.with_suffix(suffix) if suffix != path.suffix.lower() else path, self.ground())
+        def then(path: Path, asked: bool) -> None:
+            act = partial(session.film.save, path, self.ground())
+            session.files.write([path] if suffix else [], asked, act)  # frames in a folder are looked after there
 
-        self.dialogs.save(_("Save film"), name, kinds, then)
+        self.dialogs.save(_("Save film"), name, kinds, [suffix] if suffix else [], then)
 
     def ground(self) -> Vec3 | None:
         """RGB of the background, range [0, 1]; None for a transparent one."""

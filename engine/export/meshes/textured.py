@@ -42,8 +42,6 @@ class TexturedPiece:
     """(V, 2). Texture coordinates, from the lower left corner. Range [0, 1]."""
     triangles: NDArray[np.int32]
     """(T, 3). Counter-clockwise from outside."""
-    is_face: NDArray[np.bool_]
-    """(T,). Whether a triangle lies on a cut face."""
     volume: float
     """World units cubed."""
 
@@ -55,8 +53,6 @@ class TexturedPieces:
     pieces: tuple[TexturedPiece, ...]
     texture: NDArray[np.uint8]
     """(H, W, 3). sRGB as in the capture; the first row is the upper one."""
-    texel: float
-    """Size of a texel, world units. Larger than asked for if the texture would have been too large."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +100,7 @@ def textured_pieces(
         _paint(texture, corner, _face_picture(plane, chart, cuts, colours, size))
     placed = dict(zip(charts, corners[1:], strict=True))
     made = tuple(_piece(cut, corners[0], charts, placed, size, (width, height)) for cut in cuts)
-    return TexturedPieces(made, texture, size)
+    return TexturedPieces(made, texture)
 
 
 def _facing(plane: Plane) -> Plane:
@@ -182,7 +178,7 @@ def _piece(
     size: tuple[int, int],
 ) -> TexturedPiece:
     """A piece with its texture coordinates: a point on several charts occurs once for each."""
-    points, normals, texels, triangles, is_face = [], [], [], [], []
+    points, normals, texels, triangles = [], [], [], []
     count = 0
     sides: list[tuple[NDArray[np.bool_], Plane | None]] = [(cut.face == SKIN, None)]
     sides += [(cut.face == n, plane) for n, plane in enumerate(cut.planes)]
@@ -199,7 +195,6 @@ def _piece(
             normals.append(np.tile(np.asarray(plane.normal), (len(used), 1)))
             texels.append(_in_chart(chart, cut.points[used], texel) + placed[_facing(plane)])
         triangles.append(own.reshape(-1, 3) + count)
-        is_face.append(np.full(int(rows.sum()), plane is not None))
         count += len(used)
     at, turn = np.concatenate(points), cut.wanted.transform
     out = np.concatenate(normals)
@@ -212,6 +207,5 @@ def _piece(
         np.divide(out, length, out=np.tile([0.0, 0, 1], (len(out), 1)), where=length > 1e-6) @ turn[:3, :3].T,
         places,
         np.concatenate(triangles).astype(np.int32),
-        np.concatenate(is_face),
         cut.volume,
     )

@@ -24,7 +24,15 @@ from PIL import EpsImagePlugin, Image, UnidentifiedImageError
 
 from engine.errors import InputError
 from engine.io.meshes.mesh import read_mesh
-from engine.io.picture_file import KINDS, decoding, in_srgb, open_picture, read_pixels, restricted_decoders
+from engine.io.picture_file import (
+    KINDS,
+    PICTURE_SUFFIXES,
+    decoding,
+    in_srgb,
+    open_picture,
+    read_pixels,
+    restricted_decoders,
+)
 from tests.helpers.refusal import refusal
 from tests.paths import HELPERS, ROOT, SHARED
 from training.priors.exemplar.pictures import read_picture
@@ -293,6 +301,11 @@ def test_of_two_readers_the_last_to_leave_lets_warnings_through_again() -> None:
     assert not heard
     second.__exit__(None, None, None)
     assert list(warnings.filters) == filters
+
+
+def test_pictures_are_picked_by_the_names_of_what_is_read() -> None:
+    formats = Image.registered_extensions()
+    assert {formats[suffix] for suffix in PICTURE_SUFFIXES} == set(KINDS)
 
 
 def test_a_library_of_its_own_gets_the_same_decoders() -> None:

@@ -26,7 +26,7 @@ def random_planes(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
 
 
 def vertices(planes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(V, 3). The corners of what planes (P, 4) keep of BOX: where three of all planes meet and no other cuts them off."""
+    """(V, 3). The corners of what planes (P, 4) keep of BOX: where three of all planes meet within the others."""
     sides = [np.append(sign * np.eye(3)[i], -abs(BOX[0, i])) for i in range(3) for sign in (1, -1)]
     every = np.concatenate([sides, planes])
     found = []

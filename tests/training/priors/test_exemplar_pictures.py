@@ -18,7 +18,7 @@ from training.faces.completion import complete_face
 from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.lighting import colour_gain
-from training.priors.exemplar.pictures import resolved_share
+from training.priors.exemplar.pictures import MAX_SIDE, read_photograph, resolved_share
 
 
 def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
@@ -94,6 +94,14 @@ def test_modes_and_orientation(tmp_path: Path) -> None:
     read = read_picture(tmp_path / "turned.jpg", "radial")
     third = len(read.rgb) // 3
     assert read.rgb[:third].mean() < read.rgb[-third:].mean()
+
+
+@pytest.mark.parametrize("mode", ["P", "1"])
+def test_few_colours_are_blended_where_a_picture_is_made_smaller(tmp_path: Path, mode: str) -> None:
+    board = np.indices((1600, 1600)).sum(0) % 2 * 255
+    Image.fromarray(board.astype(np.uint8)).convert(mode).save(tmp_path / "a.png")
+    rgb, _ = read_photograph(tmp_path / "a.png")
+    assert rgb.shape == (MAX_SIDE, MAX_SIDE, 3) and rgb.std() < 0.1
 
 
 def test_refusals_are_one_clear_line(tmp_path: Path) -> None:

@@ -246,6 +246,8 @@ def read_photograph(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_] 
             image = Image.fromarray(to_8bit(values / top))
         if image.has_transparency_data and image.mode != "RGBA":
             image = image.convert("RGBA")
+        if image.mode in ("1", "P"):  # in these, nothing is blended when a picture is made smaller
+            image = image.convert("RGB")
         if min(image.size) < MIN_SIDE:
             raise InputError(f"{path}: only {image.width}x{image.height} pixels; give a larger picture")
         cut_out = _read_mask(path, image.size)
