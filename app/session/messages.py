@@ -30,6 +30,11 @@ class Messages:
         """Shows an error until the user dismisses it."""
         self.error = str(error)
 
+    def show_failure(self, error: Exception) -> None:
+        """Shows an error that nobody has foreseen."""
+        text = _("Something went wrong ({kind}: {error}). Your work is kept; save it.")
+        self.show_error(text.format(kind=type(error).__name__, error=error))
+
     def ask(self, title: str, text: str, *choices: Choice) -> None:
         """Asks the user to choose; Cancel is added as the last choice."""
         self.question = Question(title, text, (*choices, Choice(_("Cancel"), lambda: None)))

@@ -201,7 +201,10 @@ class Window:
 
     def _tick(self) -> None:
         session = self.session
-        session.tick()
+        try:
+            session.tick()
+        except Exception as error:  # background work that fails must not end the window
+            session.show_failure(error)
         if self.dropped:
             self._open_dropped()
         if session.settings.scale != self._scale:
@@ -264,11 +267,7 @@ class Window:
             if self._failures > GUI_ERRORS:
                 raise
             imgui.internal.error_recovery_try_to_recover_state(state)
-            self.session.show_error(
-                _("Something went wrong ({kind}: {error}). Your work is kept; save it.").format(
-                    kind=type(error).__name__, error=error
-                )
-            )
+            self.session.show_failure(error)
 
     # Drawing
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
@@ -182,6 +183,15 @@ def names(driver: Driver, folder: Path) -> None:
     assert window.viewport.size[0] > 200
 
 
+def fail(driver: Driver, folder: Path) -> None:
+    """Background work that fails is told of, and does not end the window."""
+    session = driver.session
+    with patch.object(session.files, "tick", side_effect=[ValueError("of the disk"), *[None] * 99]):
+        driver.frames(3)
+    assert "Something went wrong (ValueError: of the disk)" in session.error
+    session.error = ""
+
+
 def inside(name: str) -> str:
     """The path of an item in the timeline."""
     return f"//Object/**/{name}"
@@ -189,7 +199,7 @@ def inside(name: str) -> str:
 
 def run_all(driver: Driver, folder: Path) -> None:
     """Runs all scripts in one window."""
-    for script in (film, throw_and_slice, names):
+    for script in (film, throw_and_slice, names, fail):
         script(driver, folder)
 
 
