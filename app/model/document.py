@@ -218,7 +218,9 @@ class Document:
         return Placement()
 
     def placed(self, key: Key, change: Callable[[Placement], Placement]) -> Document:
-        """With the placement of one piece changed."""
+        """With the placement of one piece changed; as it is if one of the cuts around it is gone."""
+        if not {cut for cut, _ in key} <= {cut.id for cut in self.cuts}:
+            return self
         placements = dict(self.placements) | {key: change(self.placement(key))}
         return replace(self, placements=tuple(sorted(placements.items(), key=lambda item: item[0])))
 

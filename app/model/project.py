@@ -6,6 +6,7 @@ allows it: a file from a stranger must not choose what the app reads and writes.
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from dataclasses import dataclass, field
@@ -118,8 +119,14 @@ class Project:
 
 
 def save_project(path: Path, project: Project) -> None:
-    """Writes the file completely or not at all. Raises InputError if that fails."""
-    write_json(path, _record(project, path.parent.resolve()))
+    """Writes the file completely or not at all. Raises InputError if that fails, or if `load_project` would refuse it:
+    nobody should find that out at the next start."""
+    record = _record(project, path.parent.resolve())
+    try:
+        _Reader(path, allowed=True).project(parse(json.dumps(record).encode()))
+    except ValueError as error:
+        raise InputError(f"{path}: cannot be saved: {error}") from error
+    write_json(path, record)
 
 
 def load_project(path: Path, outside: bool = False) -> Project:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from app.jobs.film.film_job import FilmJob, FilmRequest, too_large
+from app.model.film.record import LONGEST, MOST_KEYFRAMES, MOST_PLANES
 from app.model.film.timeline import APART, Played, SceneKeyframe, Timeline, exploding, played, sweeping, turning
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
@@ -41,8 +42,7 @@ class FilmController:
         self.time = 0.0
         """Position of the playhead, seconds."""
         self.playing = False
-        self.selected: int | None = None
-        """Index of the keyframe that is selected."""
+        self._selected: tuple[Timeline, int | None] = workspace.timeline, None
         self.job: FilmJob | None = None
         """The film that is being saved, in the background."""
         self._history = workspace.history
@@ -55,6 +55,16 @@ class FilmController:
         """The documents as the film shows them."""
         self._played: Played | None = None
         self._closed = False
+
+    @property
+    def selected(self) -> int | None:
+        """Index of the keyframe that is selected; None in another film than it was selected in, as after an undo."""
+        film, index = self._selected
+        return index if film is self.workspace.timeline else None
+
+    @selected.setter
+    def selected(self, index: int | None) -> None:
+        self._selected = self.workspace.timeline, index
 
     @property
     def available(self) -> bool:
@@ -116,6 +126,8 @@ class FilmController:
     def add(self) -> None:
         """Keeps what is shown as a keyframe: at the playhead or, if one is there, some seconds after the last."""
         film = self.workspace.timeline
+        if self._has_too_much(film):
+            return
         if not film.keyframes:
             self.time = 0.0
         elif film.at(self.time) is not None:
@@ -130,15 +142,28 @@ class FilmController:
             else ngettext("{count} keyframe.", "{count} keyframes.", count).format(count=count)
         )
 
+    def _has_too_much(self, film: Timeline) -> bool:
+        """Whether what is shown is more than a project can keep as a keyframe after those of a film; tells the user."""
+        planes = max(len(opened.planes) for opened in self._now(0.0).objects)
+        wrong = ""
+        if planes > MOST_PLANES:
+            wrong = _("A keyframe can have {count} open sections of an object. Switch some off.").format(
+                count=MOST_PLANES
+            )
+        elif len(film.keyframes) >= MOST_KEYFRAMES or film.seconds > LONGEST - STEP:
+            wrong = _("The film is as long as it can be.")
+        self.workspace.notify(wrong or self.workspace.message)
+        return bool(wrong)
+
     def update(self) -> None:
         """Replaces the selected keyframe with what is shown."""
-        film, index = self.workspace.timeline, self._chosen()
-        if index is not None:
+        film, index = self.workspace.timeline, self.selected
+        if index is not None and not self._has_too_much(Timeline()):
             self._change(_("Change keyframe"), film.with_keyframe(self._now(film.keyframes[index].time)))
 
     def remove(self) -> None:
         """Removes the selected keyframe."""
-        index = self._chosen()
+        index = self.selected
         if index is not None:
             self._change(_("Remove keyframe"), self.workspace.timeline.without(index))
             self.selected = None
@@ -184,13 +209,10 @@ class FilmController:
         """What the viewport shows, as a keyframe."""
         return SceneKeyframe.of(at, self.workspace.viewing.eye, self.workspace.drawn_documents)
 
-    def _chosen(self) -> int | None:
-        """Index of the selected keyframe, if it still exists."""
-        selected = self.selected
-        return selected if selected is not None and selected < len(self.workspace.timeline.keyframes) else None
-
     def _change(self, name: str, film: Timeline, merge: str = "") -> None:
+        selected = self.selected
         self.workspace.change_film(name, film, merge)
+        self.selected = selected
 
     # Showing it
 

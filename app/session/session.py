@@ -83,5 +83,6 @@ class Session(Workspace):
             return  # no autosave of work that the user chose not to save
         try:
             self.autosave.update(self.project, self.history.changed, self.path)
-        except InputError:
+        except InputError as error:
             self.autosave.next = time.monotonic() + AUTOSAVE_RETRY
+            self.notify(str(error))

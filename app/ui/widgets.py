@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
@@ -13,6 +14,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from app.model.document import MARKS, Mark
 from app.translation import _
 from app.ui.theme import Fonts, palette, px, rgba, u32
+from engine.io.fields import LONGEST_TEXT
 
 __all__ = [
     "MARK_ICONS",
@@ -38,6 +40,7 @@ __all__ = [
     "secondary",
     "segmented",
     "share",
+    "text_field",
     "thin_bar",
     "tooltip",
 ]
@@ -327,21 +330,30 @@ def _listed(name: str, labels: Sequence[str], current: int, width: float, hints:
 def float_slider(
     name: str, value: float, low: float, high: float, hint: str, width: float = -1.0, text: str = ""
 ) -> tuple[bool, float]:
-    """A slider with its number, or `text`, at the right. A double click or Ctrl+click lets the user type the number."""
+    """A slider with its number, or `text`, at the right. A double click or Ctrl+click lets the user type the number, of
+    which the nearest in [low, high] is taken."""
     margin = imgui.calc_text_size("-00.00").x + px(6)
     full = imgui.get_content_region_avail().x if width < 0 else width
     imgui.set_next_item_width(full - margin)
-    changed, value = imgui.slider_float(name, value, low, high, "")
+    changed, new = imgui.slider_float(name, value, low, high, "", imgui.SliderFlags_.always_clamp)
+    changed = changed and math.isfinite(new)
+    value = new if changed else value
     tooltip(hint)
     _number_at_right(text or f"{value if abs(value) >= 0.005 else 0.0:.2f}", margin)
     return changed, value
+
+
+def text_field(name: str, text: str, hint: str = "", flags: int = 0) -> tuple[bool, str]:
+    """A field for as much text as a project file may hold."""
+    changed, new = imgui.input_text_with_hint(name, hint, text, flags)
+    return changed, new[:LONGEST_TEXT]
 
 
 def int_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]:
     """A slider for integers, as wide as possible, with its number at the right."""
     margin = imgui.calc_text_size("0000").x + px(6)
     imgui.set_next_item_width(imgui.get_content_region_avail().x - margin)
-    changed, value = imgui.slider_int(name, value, low, high, "")
+    changed, value = imgui.slider_int(name, value, low, high, "", imgui.SliderFlags_.always_clamp)
     _number_at_right(str(value), margin)
     return changed, value
 

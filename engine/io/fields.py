@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from engine.errors import InputError
 
-__all__ = ["LARGEST_INTEGER", "UNIT_TOLERANCE", "Fields"]
+__all__ = ["LARGEST_INTEGER", "LONGEST_TEXT", "UNIT_TOLERANCE", "Fields"]
 
 LARGEST_INTEGER = 1 << 53
 """Largest integer in our files: other JSON readers hold numbers as doubles, which are exact no further."""

@@ -373,6 +373,11 @@ def test_pan_follows_the_hand_and_fit_fits() -> None:
     assert eye.toward(fitted, 1.0) == fitted
 
 
+def test_a_piece_whose_cut_is_undone_is_placed_no_more() -> None:
+    whole = Document()
+    assert whole.placed(((1, 1),), lambda p: Placement(visible=False)) is whole  # as by a drag that goes on
+
+
 def test_a_hidden_placement_is_the_childs_too() -> None:
     document = Document().placed(WHOLE, lambda p: Placement(visible=False))
     assert not visible_pieces(document.with_cut((Part(Plane((1.0, 0.0, 0.0), 0.0)),)), BALL)

@@ -204,6 +204,17 @@ def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
     assert find_unsaved_work(tmp_path) == [] and not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("gap", [5.0, float("nan")])
+def test_what_could_not_be_opened_again_is_not_saved(tmp_path: Path, gap: float) -> None:
+    project = full(tmp_path)
+    save_project(tmp_path / "p.fruitninja", project)
+    first, *others = project.documents
+    wrong = replace(project, documents=(replace(first, gap=gap), *others))
+    with pytest.raises(InputError, match="cannot be saved"):
+        save_project(tmp_path / "p.fruitninja", wrong)
+    assert load_project(tmp_path / "p.fruitninja", outside=True) == project
+
+
 def full_disk(*_: object) -> None:
     raise InputError("no space left")
 

@@ -13,6 +13,7 @@ from app.model.camera_control import OrbitCamera
 from app.model.document import DEFAULT_GAP, Cut, Document, Part
 from app.model.film import presets
 from app.model.film.motion import Film, Keyframe, motion, seen
+from app.model.film.record import LONGEST
 from app.model.pieces import PointSample
 from app.model.rigid_transform import Vec3
 from engine.scene.plane import Plane
@@ -115,7 +116,7 @@ class Timeline:
     def moved(self, index: int, time: float) -> Timeline:
         """With a keyframe moved to another time, kept between its neighbours."""
         low = self.keyframes[index - 1].time + APART if index else 0.0
-        high = self.keyframes[index + 1].time - APART if index + 1 < len(self.keyframes) else np.inf
+        high = self.keyframes[index + 1].time - APART if index + 1 < len(self.keyframes) else LONGEST
         new = replace(self.keyframes[index], time=float(np.clip(round(time, 2), low, max(low, high))))
         return Timeline((*self.keyframes[:index], new, *self.keyframes[index + 1 :]))
 

@@ -22,6 +22,9 @@ from training.families import Family
 
 __all__ = ["CutDetails"]
 
+FARTHEST = 100.0
+"""Radii. Largest distance of a plane from the middle of the object, which it misses by far."""
+
 
 class CutDetails:
     """Draws the details of one cut and passes edits on to the session."""
@@ -63,16 +66,17 @@ class CutDetails:
         up, centre = np.asarray(self.session.up), self.session.solid.centre
         now = PlaneAngles.of(plane, up, centre)
         speed = self.session.solid.radius / 200  # a drag across the panel moves it by about a radius
+        farthest = FARTHEST * self.session.solid.radius
         middle = _("From the middle of the object, in units of the file")
         level = _("Against the level: 0 is a level cut, 90 an upright one")
         for name, title, value, step, low, high, form, hint in (
-            ("distance", _("Distance"), now.distance, speed, 0.0, 0.0, "%.3f", middle),
+            ("distance", _("Distance"), now.distance, speed, -farthest, farthest, "%.3f", middle),
             ("tilt", _("Tilt"), now.tilt, 0.5, 0.0, 180.0, "%.1f°", level),
             ("turn", _("Turn"), now.turn, 0.5, -180.0, 180.0, "%.1f°", _("About the upright axis")),
         ):
             row_label(title, 108)
             value = value if abs(value) >= 5e-4 else 0.0  # so that "-0.000" is never shown
-            changed, new = imgui.drag_float(f"##{name}", value, step, low, high, form)
+            changed, new = imgui.drag_float(f"##{name}", value, step, low, high, form, imgui.SliderFlags_.always_clamp)
             tooltip(_("{hint}. Drag, or double click to type.").format(hint=hint))
             if changed and np.isfinite(new):
                 self._set(cut, replace(now, **{name: new}).plane(up, centre), merge=f"cut {cut.id}")
@@ -100,7 +104,11 @@ class CutDetails:
             self._numbers = (cut.id, list(editing))
         if imgui.is_item_deactivated_after_edit() and self._numbers is not None:
             try:
-                self._set(cut, Plane.of(self._numbers[1][:3], self._numbers[1][3]))
+                plane = Plane.of(self._numbers[1][:3], self._numbers[1][3])
+                if abs(plane.distance(self.session.solid.centre[None])[0]) <= FARTHEST * self.session.solid.radius:
+                    self._set(cut, plane)
+                else:
+                    self.session.notify(_("This plane is too far from the object."))
             except InputError:
                 self.session.notify(_("a, b, c must not all be zero."))
         if not imgui.is_item_active():

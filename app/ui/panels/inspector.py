@@ -30,6 +30,7 @@ from app.ui.widgets import (
     icon_button,
     list_row,
     secondary,
+    text_field,
     tooltip,
 )
 
@@ -120,7 +121,7 @@ class Inspector:
             imgui.set_next_item_width(-1)
             if not self._typing:
                 imgui.set_keyboard_focus_here()
-            changed, text = imgui.input_text("##name", document.name or document.title)
+            changed, text = text_field("##name", document.name or document.title)
             if changed:
                 session.change_object(_("Name"), index, replace(document, name=text.strip()), merge=f"name {index}")
             ended = self._typing and not imgui.is_item_active()

@@ -34,6 +34,7 @@ from app.ui.widgets import (
     row_label,
     secondary,
     segmented,
+    text_field,
     tooltip,
 )
 from training.families import COUNTS, Family, Kind
@@ -172,7 +173,7 @@ class InteriorPanel:
             if changed:
                 change(_("Axis"), replace(family, axis=axes[index]))
         row_label(_("In words"), 80)
-        changed, text = imgui.input_text_with_hint("##prompt", _("optional, if drawn from words"), family.prompt)
+        changed, text = text_field("##prompt", family.prompt, _("optional, if drawn from words"))
         if changed:
             change(_("Words"), replace(family, prompt=text), merge=f"prompt {kind}")
         self._pictures(family)
@@ -313,7 +314,7 @@ class InteriorPanel:
                     lambda path: self._change_training(_("Model"), replace(training, model=path)),
                 )
             row_label(_("Object"), 84)
-            changed, thing = imgui.input_text_with_hint("##thing", _("watermelon"), training.thing)
+            changed, thing = text_field("##thing", training.thing, _("watermelon"))
             if changed:
                 self._change_training(_("Object"), replace(training, thing=thing), merge="thing")
             tooltip(_("What it is, in a word or two"))

@@ -26,6 +26,7 @@ from app.ui.widgets import (
     mark_colour,
     row_label,
     secondary,
+    text_field,
     tooltip,
 )
 
@@ -137,7 +138,7 @@ class PiecesPanel:
         if not self._typing:
             imgui.set_keyboard_focus_here()
         given = session.document.placement(piece.key).name
-        changed, text = imgui.input_text_with_hint("##name", piece.name, given)
+        changed, text = text_field("##name", given, piece.name)
         if changed:
             named = session.document.placed(piece.key, lambda p: replace(p, name=text.strip()))
             session.change(_("Name"), named, merge=f"name {piece.key}")
@@ -163,7 +164,7 @@ class PiecesPanel:
         imgui.same_line()
         imgui.set_next_item_width(px(150))
         flags = imgui.InputTextFlags_.enter_returns_true
-        entered, self._group = imgui.input_text_with_hint("##group", _("name of the group"), self._group, flags)
+        entered, self._group = text_field("##group", self._group, _("name of the group"), flags)
         imgui.same_line()
         if main_button(_("Set"), px(52)) or entered:
             group = self._group.strip()

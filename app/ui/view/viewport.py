@@ -409,6 +409,8 @@ class Viewport:
             motion = Motion.by(unit * (dx * rotation[0] + dy * rotation[1]))
         else:
             rows = [p.motion.apply(session.solid.points[p.rows]) for p in session.pieces if p.key in drag.keys]
+            if not rows:  # undone or deleted while it is dragged
+                return
             middle = np.concatenate(rows).mean(0)
             motion = Motion.about(middle, rotation[1], -0.4 * dx).after(Motion.about(middle, rotation[0], 0.4 * dy))
         session.place(_("Move") if drag.kind == "move" else _("Turn"), drag.keys, motion, merge="drag")

@@ -16,6 +16,7 @@ from app.jobs.scene_loader import LoadedObject, SceneRequest
 from app.model.autosave import Autosave
 from app.model.camera_control import OrbitCamera
 from app.model.document import DEFAULT_GAP, Document, Part
+from app.model.film.record import LONGEST, MOST_PLANES
 from app.model.film.timeline import FilmLook, SceneKeyframe, Timeline, exploding, played, sweeping, turning
 from app.model.history import History
 from app.model.pieces import PointSample, sections
@@ -136,8 +137,10 @@ def test_the_window_keeps_what_is_shown_plays_it_and_leaves_it(session: Session)
     film.add()
     assert np.isclose(session.timeline.keyframes[1].objects[0].explode, 0.5)
     assert session.timeline.keyframes[1].eye == session.viewing.eye and session.documents is untouched
+    assert film.selected == 1
     session.undo()
-    assert len(session.timeline.keyframes) == 2 and film.shown
+    film.remove()  # the keyframe that was selected is gone
+    assert len(session.timeline.keyframes) == 2 and film.shown and film.selected is None
 
     # Playing stops at the end; an edit of the object shows the object as it is.
     film.play()
@@ -208,3 +211,15 @@ def test_a_film_is_saved_as_the_window_shows_it(session: Session, tmp_path: Path
     assert not (tmp_path / "stopped.gif").exists()
     assert "too large" in too_large(Path("a.gif"), FilmLook((3840, 2160), 25.0), 60.0)
     assert not too_large(Path("a.mp4"), FilmLook((3840, 2160), 25.0), 60.0)
+
+
+def test_no_keyframe_is_more_than_a_project_can_keep(session: Session) -> None:
+    plane = (Part(Plane((0.0, 0.0, 1.0), 0.0)),)
+    for _ in range(MOST_PLANES + 1):
+        session.change("Section", session.document.with_cut(plane, "Section", "section"))
+    session.film.add()
+    assert not session.timeline.keyframes and "16 open sections" in session.message
+    session.change("Less", replace(session.document, cuts=session.document.cuts[1:]))
+    session.film.add()
+    assert len(session.timeline.keyframes) == 1
+    assert session.timeline.moved(0, 1e9).seconds == LONGEST
