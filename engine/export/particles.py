@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import InputError
-from engine.export.light import linear_light
 from engine.export.voxels import Voxels
 from engine.io.files import atomic
 from engine.io.writers.usd import write_stage
+from engine.light import as_linear
 from engine.scene.inside import KIND_NAMES
 from engine.scene.moved import upright
 
@@ -108,7 +108,7 @@ def _save_usd(path: Path, arrays: dict[str, NDArray[Any]], spacing: float) -> No
     cloud.SetWidthsInterpolation(UsdGeom.Tokens.constant)
     cloud.CreateExtentAttr(UsdGeom.Points.ComputeExtent(cloud.GetPointsAttr().Get(), cloud.GetWidthsAttr().Get()))
     colour = cloud.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-    colour.Set(Vt.Vec3fArray.FromNumpy(linear_light(arrays["colors"])))
+    colour.Set(Vt.Vec3fArray.FromNumpy(as_linear(arrays["colors"] / 255).astype(np.float32)))
     primvars = UsdGeom.PrimvarsAPI(cloud)
     floats, ints = Sdf.ValueTypeNames.FloatArray, Sdf.ValueTypeNames.IntArray
     for name in ("volumes", "masses"):

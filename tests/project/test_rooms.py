@@ -22,7 +22,7 @@ FILES_OF_A_ROOM = 14
 
 LINES_OF_A_FILE = 450
 
-FOUNDATION = ("engine.errors", "engine.compiler", "engine.processes", "engine.threads")
+FOUNDATION = ("engine.errors", "engine.compiler", "engine.light", "engine.processes", "engine.threads")
 """Errors, compiling, processes and threads: they know no Gaussians, and every room of the engine may use them."""
 
 DRAWING = (*FOUNDATION, "engine.scene", "engine.render.projection", "engine.render.lanes")

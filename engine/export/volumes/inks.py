@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage, optimize
 
-from engine.export.light import linear_light
+from engine.light import as_linear
 
 __all__ = ["halftoned"]
 
@@ -43,7 +43,7 @@ def halftoned(
     `rgb` (X, Y, Z, 3): colours in sRGB, range [0, 255]. `filled` (X, Y, Z): cells that are printed. `inks`: sRGB of the
     materials as they are seen, 2 to 255 of them. Layers are printed along the third axis. Bit-equal for the same cells.
     """
-    shares = _mixtures(linear_light(np.array(inks)))
+    shares = _mixtures(as_linear(np.array(inks) / 255).astype(np.float32))
     out = np.zeros(filled.shape, np.uint8)
     width, height, layers = filled.shape
     rng = np.random.default_rng(0)
@@ -61,7 +61,8 @@ def halftoned(
 def _mixtures(inks: NDArray[np.float32]) -> NDArray[np.float32]:
     """(N, NODES, NODES, NODES). Shares of inks (N, 3) in linear light whose mean is nearest to each colour of sRGB."""
     axis = np.arange(NODES) * (255 / (NODES - 1))
-    colours = linear_light(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3))
+    colours = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+    colours = as_linear(colours / 255).astype(np.float32)
     found = np.empty((len(colours), len(inks)))
     sums = np.concatenate([SURE * inks.T, np.full((1, len(inks)), SURE * SURE)])
     for n, colour in enumerate(colours):

@@ -51,7 +51,11 @@ def buffer_files(path: Path, warn: Callable[[str], None]) -> frozenset[str]:
     if modes and modes.isdisjoint(FACES):
         shapes = " and ".join(sorted({SHAPES.get(mode, "unknown shapes") for mode in modes}))
         raise InputError(f"{path}: there is no face in it, only {shapes}; a mesh with faces is needed")
+    if len(modes & {6, *FACES}) > 1 and 6 in modes:
+        warn(f"{path}: its {SHAPES[6]} are left out; the rest of its faces is opened")
     _check_extensions(path, tree, primitives)
+    if any("sparse" in row for row in _used_arrays(tree, primitives)):
+        raise InputError(f"{path}: its mesh is stored in sparse arrays, which cannot be read; export it without")
     counts = [(row, count) for row in rows(tree, "accessors") if isinstance(count := row.get("count"), int)]
     held = sum(max(count, 0) for row, count in counts if "bufferView" in row)
     zeros = sum(max(count, 0) for row, count in counts if "bufferView" not in row)
@@ -87,6 +91,16 @@ def _check_extensions(path: Path, tree: dict[str, Any], primitives: list[dict[st
             raise InputError(f"{path}: its mesh is {PACKED[name]} ({name}), which cannot be read; export it without")
     if unknown:
         raise InputError(f"{path}: it needs {', '.join(unknown)}, which cannot be read; export it without")
+
+
+def _used_arrays(tree: dict[str, Any], primitives: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The accessors of these primitives' corners and faces."""
+    accessors = rows(tree, "accessors")
+    numbers = [primitive.get("indices") for primitive in primitives]
+    for primitive in primitives:
+        attributes = primitive.get("attributes")
+        numbers += attributes.values() if isinstance(attributes, dict) else []
+    return [accessors[n] for n in numbers if isinstance(n, int) and 0 <= n < len(accessors)]
 
 
 def _used_materials(tree: dict[str, Any], primitives: list[dict[str, Any]]) -> list[dict[str, Any]]:

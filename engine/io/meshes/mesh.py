@@ -22,6 +22,7 @@ from engine.io.meshes.surface_sampling import scatter
 from engine.io.origin import origin_for
 from engine.io.picture_file import PICTURES, check_size, decoding, restricted_decoders
 from engine.io.ply_header import read_header
+from engine.light import as_linear, as_srgb
 from engine.scene.gaussians import Gaussians
 from engine.scene.rotations import facing
 from engine.scene.sh import rgb_to_sh
@@ -40,6 +41,9 @@ FLATNESS = 0.2
 
 OPACITY = 0.99
 """The highest opacity that 3DGS allows: its renderers cap alpha here."""
+
+NO_COLOURS = "no texture and no colours"
+NO_TEXTURE = f"no texture that can be read ({PICTURES})"
 
 GREY = 0.6
 
@@ -65,7 +69,7 @@ def read_mesh(
     """`count` flat Gaussians, SH degree 0, spread evenly over the surface of an .obj, .glb, .gltf, .ply or .stl.
 
     Their third axis is the face's normal; along the surface they are large enough to close the shell. Colours come from
-    the texture (bilinear), the vertices, the faces or the material, in this order, without conversion; otherwise they
+    the texture (bilinear), the vertices, the faces or the material (`_colours`); otherwise they
     are grey, with a warning. Repeated faces count once, also with a warning; `warn` takes one line each. Raises
     InputError if there is no surface, or if a texture is missing or not a picture.
     """
@@ -131,7 +135,7 @@ def _parts(path: Path, warn: Callable[[str], None]) -> list[Part]:
     for mesh, _ in meshes:
         part = slice(first, first + len(mesh.faces))
         kept = np.flatnonzero((finite & ~repeated)[part])
-        colours, note = _colours(path, mesh, kept)
+        colours, note = _colours(path, mesh, kept, kind in ("glb", "gltf"))
         notes.add(note)
         parts.append(Part(triangles[part][kept], colours))
         first = part.stop
@@ -181,33 +185,72 @@ def _kind(path: Path) -> str:
     return suffix[1:]
 
 
-def _colours(path: Path, mesh: Any, faces: NDArray[np.int64]) -> tuple[Colours, str]:
-    """The colours of these faces (F,) of a trimesh mesh, and a note for the user, empty if there is none."""
+def _colours(path: Path, mesh: Any, faces: NDArray[np.int64], is_gltf: bool) -> tuple[Colours, str]:
+    """The colours of these faces (F,) of a trimesh mesh, and a note for the user, empty if there is none.
+
+    In a glTF, the colours of a material and of vertices are linear light and multiply the texture, which is sRGB
+    (glTF 2.0, 3.9.2). In other files, the first that there is of texture, vertices, faces and material is taken.
+    """
     visual = mesh.visual
     corners = np.asarray(mesh.faces)[faces]
+    if is_gltf:
+        return _gltf_colours(path, visual, corners)
     if visual.kind == "vertex":
         table = np.asarray(visual.vertex_colors)[:, :3] / 255
-        return lambda face, weights: np.einsum("nk,nkc->nc", weights, table[corners[face]]), ""
+        return lambda face, weights: _between(weights, table[corners[face]]), ""
     if visual.kind == "face":
         table = np.asarray(visual.face_colors)[faces, :3] / 255
         return lambda face, weights: table[face], ""
     if visual.kind != "texture" or visual.material is None:
-        return lambda face, weights: np.full((len(face), 3), GREY), "no texture and no colours"
+        return lambda face, weights: np.full((len(face), 3), GREY), NO_COLOURS
     material = visual.material
-    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    image = getattr(material, "image", None)
     if image is not None and visual.uv is not None:
-        texture = _pixels(path, image)
-        factor = getattr(material, "baseColorFactor", None)
-        tint = np.ones(3) if factor is None else trimesh.visual.to_rgba(factor)[:3] / 255
-        uv = np.asarray(visual.uv, np.float64)
-        return (
-            lambda face, weights: tint * _bilinear(texture, np.einsum("nk,nkc->nc", weights, uv[corners[face]])),
-            "",
-        )
+        texture, uv = _pixels(path, image), np.asarray(visual.uv, np.float64)
+        return lambda face, weights: _bilinear(texture, _between(weights, uv[corners[face]])), ""
     flat = np.asarray(trimesh.visual.to_rgba(material.main_color), np.float64)[:3] / 255
     # Texture coordinates without a texture: its format may be unsupported.
-    note = "" if visual.uv is None or not np.ptp(visual.uv) else f"no texture that can be read ({PICTURES})"
+    note = "" if visual.uv is None or not np.ptp(visual.uv) else NO_TEXTURE
     return lambda face, weights: np.tile(flat, (len(face), 1)), note
+
+
+def _gltf_colours(path: Path, visual: Any, corners: NDArray[np.int64]) -> tuple[Colours, str]:
+    """`_colours` of a glTF's faces with these corners (F, 3)."""
+    material = getattr(visual, "material", None) if visual.kind == "texture" else None
+    vertices = visual.vertex_attributes.get("color") if material is not None else None
+    if visual.kind == "vertex":
+        vertices = visual.vertex_colors
+    if material is None and vertices is None:
+        return lambda face, weights: np.full((len(face), 3), GREY), NO_COLOURS
+    factor = getattr(material, "baseColorFactor", None)
+    tint = np.ones(3) if factor is None else np.asarray(trimesh.visual.to_rgba(factor), np.float64)[:3] / 255
+    table = None if vertices is None else _as_parts(np.asarray(vertices)[:, :3])
+    image, uv = getattr(material, "baseColorTexture", None), getattr(visual, "uv", None)
+    texture = None if image is None or uv is None else _pixels(path, image)
+    places = None if uv is None else np.asarray(uv, np.float64)
+
+    def colours(face: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        rgb = np.ones((len(face), 3))
+        if texture is not None and places is not None:
+            rgb = _bilinear(texture, _between(weights, places[corners[face]]))
+            if table is None and (tint == 1).all():
+                return rgb
+        light = as_linear(rgb) * tint
+        return as_srgb(light if table is None else light * _between(weights, table[corners[face]]))
+
+    is_lost = texture is None and table is None and uv is not None and bool(np.ptp(uv))
+    return colours, NO_TEXTURE if is_lost else ""
+
+
+def _between(weights: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K, C). Values between those at the corners (K, 3, C) of faces, by barycentric weights (K, 3)."""
+    return np.einsum("nk,nkc->nc", weights, corners)
+
+
+def _as_parts(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Colours in [0, 1], of which integers are parts of the largest of their type."""
+    whole = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1.0
+    return np.clip(values / whole, 0, 1)
 
 
 def _pixels(path: Path, image: Image.Image) -> NDArray[np.uint8]:

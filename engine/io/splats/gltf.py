@@ -21,6 +21,7 @@ from engine.io.files import open_file
 from engine.io.gltf_tree import BINARY_CHUNK, GAUSSIANS, extensions, read_tree, rows
 from engine.io.splats.gltf_nodes import Placement, placements
 from engine.io.splats.rows import gaussians_from_rows, logits, row_blocks, stride_for
+from engine.light import as_srgb
 from engine.scene.gaussians import Gaussians
 from engine.scene.moved import rotated_quats, sh_rotation
 from engine.scene.sh import basis
@@ -302,7 +303,7 @@ class _SplatPrimitive:
 
 
 def _display(sh: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
-    """(N, K, 3). Turns spherical harmonics of linear colours into those of sRGB (IEC 61966-2-1), by least squares over
+    """(N, K, 3). Turns spherical harmonics of linear colours into those of sRGB, by least squares over
     directions; exact for degree 0."""
     directions = np.random.default_rng(0).normal(size=(LOOKS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -310,9 +311,8 @@ def _display(sh: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
         directions = directions[:1]
     looks, used = basis(directions, degree), (degree + 1) ** 2
     linear = np.maximum(0.5 + np.einsum("dk,nkc->ndc", looks, sh[:, :used]), 0)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     result = sh.copy()
-    result[:, :used] = np.einsum("kd,ndc->nkc", np.linalg.pinv(looks), shown - 0.5)
+    result[:, :used] = np.einsum("kd,ndc->nkc", np.linalg.pinv(looks), as_srgb(linear) - 0.5)
     return result
 
 

@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from engine.errors import InputError
 from engine.export.colours import Colours
-from engine.export.light import linear_light
 from engine.export.particles import DENSITY, particles_of, save_particles
 from engine.export.voxels import Voxels, coarsened, voxels_of
+from engine.light import as_linear
 from engine.scene.grid import Body, Grid
 from engine.scene.inside import KIND_NAMES, Kind
 from engine.scene.plane import Plane
@@ -132,13 +132,13 @@ def test_inks_add_up_to_the_colour() -> None:
     from engine.export.volumes.inks import halftoned
 
     inks = [(0, 174, 239), (236, 0, 140), (255, 242, 0), (35, 31, 32), (255, 255, 255)]
-    light = linear_light(np.array(inks))
+    light = as_linear(np.array(inks) / 255)
     filled = np.ones((48, 48, 48), bool)
     filled[:8, :8] = False
     for colour in ((128, 128, 128), (230, 220, 180), (250, 250, 250)):
         rgb = np.broadcast_to(np.array(colour, np.uint8), (*filled.shape, 3))
         drops = halftoned(rgb, filled, inks)
-        shown, wanted = light[drops], linear_light(np.array([colour]))[0]
+        shown, wanted = light[drops], as_linear(np.array([colour]) / 255)[0]
         assert not drops[~filled].any()
         assert np.abs(shown[filled].mean(0) - wanted).max() < 0.008  # two steps of 255 in this light
         # Drops placed purely at random would spread by this much.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import struct
 from collections.abc import Callable
@@ -9,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from engine.io.load import load
 from engine.io.meshes.mesh import read_mesh
+from engine.scene.sh import sh_to_rgb
 from tests.helpers.refusal import refusal
 from tests.paths import SHARED
 
@@ -123,3 +127,66 @@ def test_gaussians_beside_a_mesh_are_left_out(tmp_path: Path) -> None:
     both = primitive() + primitive(mode=0, extensions={"KHR_gaussian_splatting": {}})
     loaded = load(gltf(meshes=both)(tmp_path))
     assert any("the Gaussians in it (KHR_gaussian_splatting) are left out" in line for line in loaded.warnings)
+
+
+SRGB_OF_HALF = 0.7354
+"""sRGB of linear light 0.5 (IEC 61966-2-1)."""
+
+LIT = [[0.5, 0, 0]] * 3
+
+
+@pytest.mark.parametrize("texture", [False, True])
+@pytest.mark.parametrize(
+    ("vertices", "factor", "shown"),
+    [
+        (LIT, None, (SRGB_OF_HALF, 0, 0)),
+        ([[1, 0, 0]] * 3, [0.5, 0.5, 0.5, 1], (SRGB_OF_HALF, 0, 0)),
+        (None, [0.5, 1, 0.5, 1], (SRGB_OF_HALF, 1, SRGB_OF_HALF)),
+        (None, None, (1, 1, 1)),
+    ],
+)
+def test_colours_of_a_gltf_are_linear_and_multiply(
+    tmp_path: Path,
+    vertices: list[list[float]] | None,
+    factor: list[float] | None,
+    shown: tuple[float, float, float],
+    texture: bool,
+) -> None:
+    arrays = [np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4"), np.zeros((3, 2), "<f4")]
+    attributes = {"POSITION": 0} | ({"TEXCOORD_0": 1} if texture else {}) | ({"COLOR_0": 2} if vertices else {})
+    look: dict[str, object] = {} if factor is None else {"baseColorFactor": factor}
+    other: dict[str, object] = {"materials": [{"pbrMetallicRoughness": look}]}
+    if texture:
+        white = io.BytesIO()
+        Image.new("RGB", (2, 2), "white").save(white, "PNG")
+        look["baseColorTexture"] = {"index": 0}
+        uri = "data:image/png;base64," + base64.b64encode(white.getvalue()).decode()
+        other |= {"textures": [{"source": 0}], "images": [{"uri": uri}]}
+    if vertices:
+        arrays.append(np.array(vertices, "<f4"))
+    data = b"".join(array.tobytes() for array in arrays)
+    starts = np.cumsum([0, *(array.nbytes for array in arrays)]).tolist()
+    path = tmp_path / "a.gltf"
+    views = [
+        {"buffer": 0, "byteOffset": start, "byteLength": a.nbytes} for start, a in zip(starts, arrays, strict=False)
+    ]
+    accessors = [
+        {"bufferView": n, "componentType": 5126, "count": 3, "type": f"VEC{a.shape[1]}"} for n, a in enumerate(arrays)
+    ]
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    tree = tree_of(
+        meshes=[{"primitives": [{"attributes": attributes, "material": 0}]}],
+        accessors=accessors,
+        bufferViews=views,
+        buffers=[{"byteLength": len(data), "uri": uri}],
+        **other,
+    )
+    path.write_text(json.dumps(tree))
+    assert np.allclose(sh_to_rgb(load(path).gaussians.sh[:, 0]), shown, atol=0.003)
+
+
+def test_a_mesh_in_sparse_arrays_is_refused(tmp_path: Path) -> None:
+    sparse = {"count": 1, "indices": {"bufferView": 0, "componentType": 5123}, "values": {"bufferView": 0}}
+    array = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "sparse": sparse}
+    path = gltf(accessors=[array])(tmp_path)
+    assert "sparse arrays" in refusal(lambda: load(path))

@@ -86,7 +86,7 @@ def solve(
     as in wood, that is all that is taken from them.
     Raises InputError if no family has an exemplar or a picture cannot be used.
     """
-    families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
+    families = _by_kind([f.as_standard_kind(body, up) for f in families if f.exemplars])
     if not families:
         raise InputError("no exemplar pictures: give at least one family a photograph of a cut face")
     each = [(family, path) for family in families for path in family.exemplars]
@@ -150,6 +150,21 @@ def solve(
     gain = sharpen(space, rgb, views)
     log.info("%d details scattered, edges sharpened by %.2f", len(stamps.rows), gain)
     return _make_volume(space, rgb, progress, replace(inside, stamps=stamps), notes)
+
+
+def _by_kind(families: list[Family]) -> list[Family]:
+    """The families with the pictures of all that are horizontal, or radial, in the first of these: single planes may be
+    of a kind that has a family of its own."""
+    merged: list[Family] = []
+    for family in families:
+        n = next((n for n, one in enumerate(merged) if one.kind == family.kind != "parallel"), None)
+        if n is None:
+            merged.append(family)
+            continue
+        marks = dict(family.marks) | dict(merged[n].marks)
+        exemplars = tuple(dict.fromkeys((*merged[n].exemplars, *family.exemplars)))
+        merged[n] = replace(merged[n], exemplars=exemplars, marks=tuple(sorted(marks.items())))
+    return merged
 
 
 def _discs(views: list[View], pictures: list[list[Picture]]) -> dict[Frame, list[Disc]]:

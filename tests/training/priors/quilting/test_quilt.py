@@ -123,7 +123,7 @@ def test_what_one_plane_alone_shows_is_as_thin_as_asked_for(monkeypatch: pytest.
     def apart(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.floating]:
         return np.linalg.norm(a - b, axis=1)
 
-    made = quilted(*map(photograph, PAIRS[1]))
+    made = quilted(*map(photograph, PAIRS[1]), seed=2)  # 0.38 to 0.53 of four seeds, as arils lie elsewhere
     own, above, below = (shown(height) for height in (0, 0.07, -0.07))
     alone = (apart(own, above) > 0.25) & (apart(own, below) > 0.25)
     for height, beside in ((0.012, above), (-0.012, below)):

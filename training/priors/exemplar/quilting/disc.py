@@ -396,9 +396,8 @@ class BallMap:
             met = read_cells(space.body.depth, at) > 0
             skin[outside] = np.where(met, reach, 0)
             outside[outside] = ~met
-        skin = np.pad(np.maximum(skin, 1.0), ((1, 1), (1, 1)), mode="edge")
-        skin[:, 0], skin[:, -1] = skin[:, -2], skin[:, 1]
-        return cls(rise, factors, ndimage.gaussian_filter(skin, 0.7))
+        skin = ndimage.gaussian_filter(np.maximum(skin, 1.0), 0.7, mode=("nearest", "wrap"))
+        return cls(rise, factors, np.pad(np.pad(skin, ((1, 1), (0, 0)), mode="edge"), ((0, 0), (1, 1)), mode="wrap"))
 
     @property
     def height(self) -> float:

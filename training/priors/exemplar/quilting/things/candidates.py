@@ -75,7 +75,7 @@ def strewn(
         is_horizontal = n < horizontal
         wide = 2 * SECTION * things.axes[:, 1].astype(np.float64)
         # A horizontal picture stands for all heights, each half of a radial one for half a turn.
-        copies = np.where(is_horizontal, 2.0, np.pi * np.hypot(*things.places.T)) / wide
+        copies = np.where(is_horizontal, 2.0, np.pi * np.abs(things.places[:, 0])) / wide
         count = times / len(pictures) * copies
         which = np.repeat(np.arange(len(count)), np.floor(count + rng.uniform(size=len(count))).astype(int))
         place, axes = things.places[which], SECTION * things.axes[which]
