@@ -18,6 +18,7 @@ from engine.io.files import open_file
 from engine.io.formats import MESH_SUFFIXES
 from engine.io.meshes.files import MeshFiles
 from engine.io.meshes.gltf import buffer_files
+from engine.io.meshes.obj import absolute_indices
 from engine.io.meshes.surface_sampling import scatter
 from engine.io.origin import origin_for
 from engine.io.picture_file import PICTURES, check_size, decoding, restricted_decoders
@@ -110,7 +111,8 @@ def _parts(path: Path, warn: Callable[[str], None]) -> list[Part]:
     files = MeshFiles(path, buffer_files(path, warn) if kind in ("glb", "gltf") else frozenset())
     try:
         # trimesh opens pictures inside the file, or named as buffers, before any check of ours.
-        with open_file(path) as file, restricted_decoders():
+        with open_file(path) as opened, restricted_decoders():
+            file = absolute_indices(opened) if kind == "obj" else opened
             scene = trimesh.load_scene(file, file_type=kind, resolver=files, process=False)
         placed = [(scene.geometry[name], matrix) for matrix, name in map(scene.graph.get, scene.graph.nodes_geometry)]
         meshes = [(mesh, matrix) for mesh, matrix in placed if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]

@@ -20,7 +20,7 @@ from engine.errors import InputError
 from engine.io.files import open_file
 from engine.io.gltf_tree import BINARY_CHUNK, GAUSSIANS, extensions, read_tree, rows
 from engine.io.splats.gltf_nodes import Placement, placements
-from engine.io.splats.rows import gaussians_from_rows, logits, row_blocks, stride_for
+from engine.io.splats.rows import gaussians_from_rows, log_sizes, logits, row_blocks, stride_for
 from engine.light import as_srgb
 from engine.scene.gaussians import Gaussians
 from engine.scene.moved import rotated_quats, sh_rotation
@@ -40,6 +40,9 @@ UNPACKED = ("KHR_mesh_quantization", GAUSSIANS)
 """Extensions that a file may require: numbers of any type are read."""
 
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
+
+MOST_DAMAGED = 0.05
+"""Share of Gaussians with a size below 0 from which all sizes are logarithms; fewer are damaged ones."""
 
 LOOKS = 128
 """Number of directions in which a linear colour is turned into sRGB: eight times the unknowns of degree 3."""
@@ -84,7 +87,8 @@ def read_gltf(path: str | Path, most: int | None = None) -> tuple[Gaussians, lis
         chosen = [
             range(int(-start % stride), field.count, stride) for field, start in zip(fields, starts, strict=False)
         ]
-        logs = any((field.scales.read(part) < 0).any() for field in fields for part in row_blocks(field.count, stride))
+        below = [(field.scales.read(part) < 0).any(1) for field in fields for part in row_blocks(field.count, stride)]
+        logs = bool(np.concatenate(below).mean() > MOST_DAMAGED)
         blocks = (
             field.table(part, degree, logs)
             for field, rows_ in zip(fields, chosen, strict=True)
@@ -288,7 +292,7 @@ class _SplatPrimitive:
         with np.errstate(all="ignore"):  # files may hold anything; `gaussians_from_rows` drops nonsense
             table[:, :3] = self.places.read(part) @ place.linear.T + place.shift
             table[:, 3] = logits(np.clip(self.opacities.read(part)[:, 0], 0, 1))
-            table[:, 4:7] = (sizes if logs else np.log(sizes)) + np.log(place.factor)
+            table[:, 4:7] = (sizes if logs else log_sizes(sizes)) + np.log(place.factor)
             table[:, 7:11] = rotated_quats(quats, place.rotation)
             sh = np.zeros((len(part), bands, 3))
             for k, coefficient in enumerate(self.sh[:bands]):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from engine.errors import InputError
 from engine.io.files import open_file
-from engine.io.splats.rows import BLOCK_ROWS, gaussians_from_rows, logits, read_rows, stride_for
+from engine.io.splats.rows import BLOCK_ROWS, gaussians_from_rows, log_sizes, logits, read_rows, stride_for
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 
@@ -149,8 +149,7 @@ def _blocks(
             table = np.empty((len(rows), 14 + 3 * ((degree + 1) ** 2 - 1)), np.float32)
             table[:, :3] = _places(rows["means"], np.asarray(chosen), section) if compression else rows["means"]
             table[:, 3] = logits(rows["rgba"][:, 3] / 255)
-            with np.errstate(divide="ignore", invalid="ignore"):  # such scales are dropped as not finite
-                table[:, 4:7] = np.log(rows["scales"].astype(np.float32))
+            table[:, 4:7] = log_sizes(rows["scales"].astype(np.float32))
             table[:, 7:11] = rows["quat"]
             table[:, 11:14] = rgb_to_sh(rows["rgba"][:, :3] / 255)
             values = rows["sh"] / np.float32(255) * (span[1] - span[0]) + span[0] if compression == 2 else rows["sh"]

@@ -22,6 +22,7 @@ from engine.io.splats.compressed_ply import is_compressed, read_compressed_ply
 from engine.io.splats.rows import (
     BLOCK_ROWS,
     COLOUR,
+    FLATNESS,
     GEOMETRY,
     gaussians_from_rows,
     logits,
@@ -41,9 +42,6 @@ MOST_RESTS = 45
 
 THIRD_SCALE = "scale_2"
 """Property that captures of discs (2D Gaussian Splatting) lack."""
-
-FLATNESS = 0.01
-"""Thickness of a disc over its smaller standard deviation. A hundredth shows in no view, and is still a Gaussian."""
 
 FILTER = "filter_3D"
 """Property of captures by Mip-Splatting that are not fused: the standard deviation, world units, of the filter that is

@@ -16,8 +16,10 @@ from engine.scene.gaussians import Gaussians
 __all__ = [
     "BLOCK_ROWS",
     "COLOUR",
+    "FLATNESS",
     "GEOMETRY",
     "gaussians_from_rows",
+    "log_sizes",
     "logits",
     "read_rows",
     "row_blocks",
@@ -33,6 +35,9 @@ logits and scales are logs."""
 
 BLOCK_ROWS = 1 << 14
 """Rows read at once: 4 MB of SH-3 rows, which stay in the cache while the columns are extracted."""
+
+FLATNESS = 0.01
+"""Thickness of a disc over its smaller standard deviation. A hundredth shows in no view, and is still a Gaussian."""
 
 MAX_LOG_SCALE = 30.0
 """Largest plausible |log scale|: e^-30 is below what float32 resolves in a scene of size 1; flat ones reach e^-25."""
@@ -146,6 +151,14 @@ def logits(opacities: NDArray[np.floating]) -> NDArray[np.floating]:
     """Logits of opacities in [0, 1]; infinite at both ends."""
     with np.errstate(divide="ignore"):
         return np.log(opacities) - np.log1p(-opacities)
+
+
+def log_sizes(sizes: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(R, 3). Logs of standard deviations. One of 0 beside another is a disc's, whose thickness is FLATNESS; rows with
+    none above 0 are not finite."""
+    least = np.where(sizes > 0, sizes, np.inf).min(1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(np.where(sizes == 0, FLATNESS * least, sizes))
 
 
 def _flaws(table: Float, positions: NDArray[np.floating]) -> dict[str, NDArray[np.bool_]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from engine.errors import InputError
 from engine.io.files import open_file
-from engine.io.splats.rows import gaussians_from_rows, logits, read_rows, row_blocks, stride_for
+from engine.io.splats.rows import gaussians_from_rows, log_sizes, logits, read_rows, row_blocks, stride_for
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 
@@ -46,8 +46,7 @@ def _table(rows: NDArray[np.void]) -> NDArray[np.float32]:
     table = np.empty((len(rows), 14), np.float32)
     table[:, :3] = rows["means"]
     table[:, 3] = logits(rows["rgba"][:, 3] / 255)
-    with np.errstate(divide="ignore", invalid="ignore"):  # scales not above 0 are dropped as not finite
-        table[:, 4:7] = np.log(rows["scales"])
+    table[:, 4:7] = log_sizes(rows["scales"])
     table[:, 7:11] = (rows["quat"].astype(np.float32) - 128) / 128
     table[:, 11:] = rgb_to_sh(rows["rgba"][:, :3] / 255)
     return table

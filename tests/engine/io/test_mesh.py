@@ -342,3 +342,13 @@ def test_real_files_open_by_what_they_are() -> None:
     assert len(load(DATA / "meshes/trimesh_bunny.ply").gaussians) == 60_000
     for name in ("photos/opencv_fruits.jpg", "volumes/vhm_thigh_rgba.npz"):
         refusal(partial(load, DATA / name), f"{DATA / name}: ")
+
+
+def test_an_obj_may_count_its_points_back(tmp_path: Path) -> None:
+    """Each of two triangles by the last three points; the same with all indices from the beginning."""
+    relative = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf -3 -2 -1\n"
+    (tmp_path / "relative.obj").write_text(relative)
+    first, second, _ = relative.split("-3 -2 -1")
+    (tmp_path / "absolute.obj").write_text(f"{first}1 2 3{second}4 5 6\n")
+    one, other = (read_mesh(tmp_path / name, 500) for name in ("relative.obj", "absolute.obj"))
+    assert np.array_equal(one.means, other.means) and one.means[:, 0].min() < 1 and one.means[:, 0].max() > 5

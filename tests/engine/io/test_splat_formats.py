@@ -223,8 +223,10 @@ def test_one_capture_in_two_formats_is_one_scene() -> None:
 def test_rows_that_are_no_gaussians_are_dropped_and_counted(tmp_path: Path) -> None:
     true, path = scene(), tmp_path / "a.splat"
     true.scales[3], true.means[7] = 0, np.nan
+    true.scales[0] = 0.4, 0, 0.2  # a disc
     path.write_bytes(splat(true))
     loaded = load(path)
+    assert loaded.gaussians.scales[0] == pytest.approx([0.4, 0.002, 0.2], rel=1e-5)
     assert len(loaded.gaussians) == N - 2 and loaded.warnings == (f"{path}: 2 of 600 Gaussians dropped: NaN or Inf",)
 
 

@@ -148,6 +148,15 @@ def test_a_size_that_is_no_number_is_left_out(tmp_path: Path, nan: int) -> None:
     assert len(opened(tmp_path, glb(damaged))) == N - 1
 
 
+def test_one_size_below_zero_is_damage(tmp_path: Path) -> None:
+    true = scene()
+    damaged = arrays(true)
+    damaged[f"{NAME}:SCALE"][3, 0] = -1e-6
+    found = opened(tmp_path, glb(damaged))
+    assert len(found) == N - 1
+    np.testing.assert_allclose(found.scales, np.delete(true.scales, 3, 0), rtol=1e-5)
+
+
 def test_drafts_had_logarithms_of_sizes(tmp_path: Path) -> None:
     true = scene()
     old = arrays(true) | {f"{NAME}:SCALE": np.log(true.scales)}

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.inside import Inside
+from engine.scene.plane import Plane
 from tests.helpers.exemplar_faces import FLESH, RIND, SEED, UP, ball, quiet, save
 from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior
@@ -144,3 +145,14 @@ def test_chambers_end_and_a_core_runs_through(tmp_path: Path) -> None:
             cut = section(inside, (np.sqrt(1 - height**2), 0, 0), (0, np.sqrt(1 - height**2), 0), (0, 0, height))
             found = np.linalg.norm(cut - pale, axis=-1)[within(0.5)] > 0.4
             assert found.sum() == pytest.approx(share * dark.sum(), abs=(0.35 if share else 0.02) * dark.sum()), height
+
+
+@pytest.mark.parametrize("kind", ["horizontal", "radial"])
+def test_a_single_plane_may_be_of_a_kind_that_has_a_family(tmp_path: Path, kind: Kind) -> None:
+    """Its picture is then one more of that family."""
+    pictures = [save(tmp_path / f"{name}.png", face(lines)) for name, lines in (("one", False), ("two", True))]
+    plane = Plane.of(UP if kind == "horizontal" else (0, 1, 0), 0.0)
+    apart = [Family(kind, 30, (pictures[0],)), Family("custom", 1, (pictures[1],), custom=(plane,))]
+    together = [Family(kind, 30, tuple(pictures))]
+    one, other = (ExemplarPrior().solve(ball(24), UP, families, 32, 0, quiet).rgb for families in (apart, together))
+    assert np.array_equal(one, other)

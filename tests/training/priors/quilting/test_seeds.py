@@ -14,7 +14,7 @@ from training.priors.exemplar.quilting.quilt import Quilt
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.texture import FINE, take_apart
-from training.priors.exemplar.quilting.things.candidates import CANDIDATES, Candidates, in_own_planes, strewn
+from training.priors.exemplar.quilting.things.candidates import CANDIDATES, SECTION, Candidates, in_own_planes, strewn
 from training.priors.exemplar.quilting.things.packing import pack
 from training.priors.exemplar.quilting.things.seeds import Seeds
 from training.priors.exemplar.quilting.things.stamps import Things
@@ -180,3 +180,30 @@ def test_things_of_no_picture_are_none() -> None:
     assert isinstance(empty, Things)
     rng = np.random.default_rng(0)
     assert pack([empty], [], strewn([empty], 1, CANDIDATES, rng, in_rows=True), all_of, rng) is None
+
+
+def test_balls_that_radial_cuts_show_are_as_many_wherever_they_lie() -> None:
+    """Uniform in a ball: as many are strewn as there are, as often near the poles and the axis as elsewhere."""
+    rng, radius = np.random.default_rng(0), 0.03
+    middles = rng.uniform(-1, 1, (40_000, 3))
+    middles = middles[np.linalg.norm(middles, axis=1) < 0.93]
+    laid = []
+    for turn in rng.uniform(0, np.pi, 30):
+        x = middles[:, 0] * np.cos(turn) + middles[:, 1] * np.sin(turn)
+        met = np.abs(middles[:, 1] * np.cos(turn) - middles[:, 0] * np.sin(turn)) < radius
+        places = np.stack([x[met], middles[met, 2]], -1).astype(np.float32)
+        axes = np.full((len(places), 2), radius / SECTION, np.float32)
+        things = Things(places, axes, np.zeros(len(places), np.float32), np.zeros((len(places), 1, 1, 4), np.float32))
+        laid.append(strewn([things], 0, 1.0, rng, in_rows=False).middles)
+    there = np.concatenate(laid)
+    assert len(there) / 30 == pytest.approx(len(middles), rel=0.1)
+    for part in (polar, beside_the_axis):
+        assert part(there).mean() == pytest.approx(part(middles).mean(), rel=0.15)
+
+
+def polar(at: NDArray[np.floating]) -> NDArray[np.bool_]:
+    return np.abs(at[:, 2]) > 0.6
+
+
+def beside_the_axis(at: NDArray[np.floating]) -> NDArray[np.bool_]:
+    return np.hypot(at[:, 0], at[:, 1]) < 0.25
