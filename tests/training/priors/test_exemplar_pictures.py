@@ -15,10 +15,12 @@ from engine.errors import InputError
 from tests.helpers.exemplar_faces import UP, ball, disc, quiet, save
 from tests.paths import SHARED
 from training.faces.completion import complete_face
+from training.faces.marks import Marks
 from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.lighting import colour_gain
 from training.priors.exemplar.pictures import MAX_SIDE, read_photograph, resolved_share
+from training.priors.exemplar.quilting.disc import Disc
 
 
 def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
@@ -267,3 +269,11 @@ def test_photographs_that_are_cut_off_by_more_are_refused(tmp_path: Path) -> Non
         assert overlap(read_picture(folder / f"{name}.png", "horizontal").mask, truth) > 0.9
         with pytest.raises(InputError, match=r"border|stands out"):
             read_picture(save(tmp_path / "crop.png", cropped(picture, truth, sides, share)), "horizontal")
+
+
+def test_a_core_beside_the_face_is_told_of(tmp_path: Path) -> None:
+    face, mask = disc(120)
+    path = save(tmp_path / "a.png", np.where(mask[..., None], face, 1.0))
+    beside, within = (read_picture(path, "horizontal", Marks(core=core)) for core in ((0.01, 0.5), (0.45, 0.5)))
+    assert "beside the cut face" in beside.note and not within.note
+    assert np.isfinite(Disc.of(beside).rgb).all()

@@ -46,6 +46,8 @@ MIN_LEAN = 7.5
 12 photographs the search is wrong by up to 2.1 degrees, in one by 5.0, in solids of our own with a striped rind by
 5."""
 
+BESIDE = "its core lies beside the cut face; mark the core, or the outline"
+
 CUT_OFF = (
     "the picture's border cuts the cut face off, and what is seen of it is taken for the whole; give a picture that "
     "shows all of it, or at least three quarters of a round one"
@@ -115,11 +117,20 @@ def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], 
             f"{path}: the cut face is smaller than {MIN_SIDE} pixels; give a larger picture, or one where the "
             "cut face stands out from a plain background"
         )
+    if core is not None and not _surrounds(mask, core):
+        note = note or BESIDE
     margin = 2 + round(0.03 * max(np.ptp(rows), np.ptp(columns)))
     mask, rgb = (_crop(a, rows, columns, margin) for a in (mask, rgb))
     if core is not None:
         core = core[0] - float(columns.min()) + margin, core[1] - float(rows.min()) + margin
     return Picture(path, fill_outside(flatten_light(rgb, mask, kind), mask), mask, core, note)
+
+
+def _surrounds(mask: NDArray[np.bool_], point: tuple[float, float]) -> bool:
+    """Whether a point (x, y) in pixels lies in a mask or in one of its holes."""
+    x, y = math.floor(point[0]), math.floor(point[1])
+    height, width = mask.shape
+    return 0 <= x < width and 0 <= y < height and bool(ndimage.binary_fill_holes(mask)[y, x])
 
 
 def _with_axis_file(marks: Marks, path: Path) -> Marks:
@@ -190,6 +201,7 @@ def fill_outside(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[n
     The outermost rings of the mask do not count as inside: they are up to half background.
     """
     core = ndimage.binary_erosion(mask, iterations=MIXED, border_value=0)
+    core = core if core.any() else mask
     nearest = ndimage.distance_transform_edt(~core, return_distances=False, return_indices=True)
     return rgb[nearest[0], nearest[1]]
 

@@ -125,7 +125,7 @@ class Disc:
         reach = np.arange(0, np.hypot(*picture.mask.shape), 0.5)
         at = [row - reach[:, None] * np.sin(angles), column + reach[:, None] * np.cos(angles)]
         hit = ndimage.map_coordinates(picture.mask.astype(np.float32), at, order=1) > 0.5
-        rim = reach[len(reach) - 1 - np.argmax(hit[::-1], axis=0)]
+        rim = np.where(hit.any(0), reach[len(reach) - 1 - np.argmax(hit[::-1], axis=0)], 0)  # a core beside the face
         rim = ndimage.gaussian_filter1d(ndimage.median_filter(rim, 13, mode="wrap"), 3, mode="wrap")
         x, y = disc_grid()
         angle = np.arctan2(y, x) % (2 * np.pi)
