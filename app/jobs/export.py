@@ -20,12 +20,14 @@ from app.model.rigid_transform import Vec3
 from engine.errors import InputError
 from engine.export.body import body_of
 from engine.export.colours import Colours
+from engine.export.kinds import IN_METRES
 from engine.io.files import atomic
 from engine.io.writers.provenance import Provenance
 from engine.io.writers.solid_gaussians import joined, piece_gaussians
 from engine.io.writers.splats import write_splats
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, section
+from engine.scene.moved import moved
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
@@ -226,13 +228,17 @@ def _blended(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return (rgba[..., :3] * alpha + 255 * (1 - alpha) + 0.5).astype(np.uint8)
 
 
-def save_pieces(path: Path, pieces: Sequence[tuple[Atoms, PlacedPiece]], up: Vec3 = (0.0, 0.0, 1.0)) -> int:
-    """Saves pieces, each given with the atoms of its object, as one file of Gaussians in the format of its suffix, with
-    the spherical harmonics that all of them have; returns the number of Gaussians. Raises InputError if there are none.
-    """
+def save_pieces(
+    path: Path, pieces: Sequence[tuple[Atoms, PlacedPiece]], up: Vec3 = (0.0, 0.0, 1.0), metres: float = 1.0
+) -> int:
+    """Saves pieces, each given with the atoms of its object, as one file of Gaussians in the format of its suffix;
+    returns the number of Gaussians. `metres`: length of a world unit, for formats that are in metres. Raises InputError
+    if there are none."""
     gaussians = joined([piece_gaussians(atoms, piece.drawn()) for atoms, piece in pieces]) if pieces else None
     if gaussians is None or not len(gaussians):
         raise InputError(f"{path}: nothing to save; no piece is shown")
+    if path.suffix.lower() in IN_METRES:
+        gaussians = moved(gaussians, np.eye(3), factor=metres)
     write_splats(path, gaussians, Provenance(up))
     return len(gaussians)
 

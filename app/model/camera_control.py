@@ -74,9 +74,11 @@ class OrbitCamera:
         """The camera moved nearer by `steps` notches of the wheel, towards the point under the cursor at the target's
         depth.
 
-        `at`: the cursor, in pixels of a picture of `size` (width, height). `radius`: the object's, bounds the distance.
+        `at`: the cursor, in pixels of a picture of `size` (width, height). `radius`: the object's, bounds the distance,
+        unless that is beyond: an eye on a larger object does not jump.
         """
-        distance = min(200 * radius, max(0.01 * radius, self.distance * 0.88**steps))
+        least, most = min(0.01 * radius, self.distance), max(200 * radius, self.distance)
+        distance = min(most, max(least, self.distance * 0.88**steps))
         camera = self.camera(*size, up)
         start, direction = ray(camera, at)
         forward = camera.forward

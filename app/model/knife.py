@@ -133,7 +133,8 @@ def blade_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floati
         line = line[:-1] if len(line) > 3 else line
         line = line if _areas(line).sum() > 0 else line[::-1]  # so that the inside is to the right
         starts, ends, areas = line, np.roll(line, -1, axis=0), _areas(line)
-        middle = ((starts + ends) * areas[:, None]).sum(0) / (3 * areas.sum())
+        area = max(float(areas.sum()), 1e-9)  # nothing, for a line that goes back on itself
+        middle = ((starts + ends) * areas[:, None]).sum(0) / (3 * area)
         if (_areas(line - middle) <= 0).any():
             return _("Part of that shape hides behind another, seen from its middle. Draw a rounder one.")
         spokes = [_plane_between(camera, _pixel(middle), _pixel(corner)) for corner in line]

@@ -202,7 +202,8 @@ class IsolationController:
         """Brings back all of the capture, as one object with the cuts and settings of the active one."""
         document = self.workspace.document
         whole = replace(document, isolation=(), selection=(), number=0, name="", visible=True)
-        self.workspace.change_all(_("Bring everything back"), (whole,))
+        film = self.workspace.timeline.renumbered(document.number, (0,))
+        self.workspace.change_all(_("Bring everything back"), (whole,), film=film)
 
     def _isolate(self, name: str, selection: Selection) -> None:
         workspace, document = self.workspace, self.workspace.document
@@ -253,7 +254,9 @@ class IsolationController:
                 loaded = workspace.loaded[document.number]
                 workspace.loaded[number] = replace(loaded, atoms=None, trained=False)
         index = workspace.documents.index(document)
-        workspace.change_all(name, (*workspace.documents[:index], *new, *workspace.documents[index + 1 :]))
+        documents = (*workspace.documents[:index], *new, *workspace.documents[index + 1 :])
+        film = workspace.timeline.renumbered(document.number, tuple(one.number for one in new))
+        workspace.change_all(name, documents, film=film)
 
     def _tell_bodies_apart(self, document: Document) -> None:
         """Starts the search for separate bodies in what is left, and makes them objects; only once for each isolation,

@@ -241,10 +241,10 @@ class Workspace(Messages):
         documents = (*self.documents[:index], document, *self.documents[index + 1 :])
         return self.change_all(name, documents, merge)
 
-    def change_all(self, name: str, documents: Documents, merge: str = "") -> bool:
+    def change_all(self, name: str, documents: Documents, merge: str = "", film: Timeline | None = None) -> bool:
         """Adds a step to the history; consecutive steps with the same `merge` tag are undone as one."""
         before, up = self.documents, self.view_up
-        done = self.history.do(name, replace(self.history.state, documents=documents), merge)
+        done = self.history.do(name, Work(documents, self.timeline if film is None else film), merge)
         self._follow(before, up)
         return done
 

@@ -26,7 +26,7 @@ from engine.scene.moved import moved
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["KINDS", "SUFFIXES", "Export", "ExportKind", "kind_of", "write_export"]
+__all__ = ["IN_METRES", "KINDS", "SUFFIXES", "Export", "ExportKind", "kind_of", "write_export"]
 
 Ink = tuple[int, int, int]
 """sRGB, range [0, 255]."""

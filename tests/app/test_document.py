@@ -255,7 +255,9 @@ def test_a_line_that_is_no_blade_is_told() -> None:
         [[60, 150], [300, 160], [150, 170]],
         [[60, 60], [340, 60], [340, 80], [80, 80], [80, 240], [60, 240], [60, 62]],
     )
-    for line, word in ((back, "turned back"), (hidden, "hides"), ([[200, 150], [201, 151], [200, 151]], "short")):
+    bow_tie = [[100, 100], [300, 200], [300, 100], [100, 200], [100, 101]]
+    shapes = ((back, "turned back"), (hidden, "hides"), (bow_tie, "hides"))
+    for line, word in (*shapes, ([[200, 150], [201, 151], [200, 151]], "short")):
         told = slice_object(Document(), BALL, camera, drawn(np.array(line, float)), UP)
         assert told.document is None and word in told.message
 
@@ -359,6 +361,12 @@ def test_zooming_keeps_what_lies_under_the_cursor() -> None:
         after, _ = project_points(nearer.camera(400, 300, UP), nearest)
         scale = eye.distance / nearer.distance
         assert np.allclose(after - at, (before - at) * scale, atol=1e-6)
+
+
+def test_the_wheel_never_jumps_when_a_small_object_is_active() -> None:
+    eye = OrbitCamera(distance=15.0)
+    farther, nearer = (eye.zoomed(steps, (200.0, 150.0), (400, 300), UP, 0.02).distance for steps in (-1, 1))
+    assert farther == 15.0 and nearer == pytest.approx(0.88 * 15.0)
 
 
 def test_pan_follows_the_hand_and_fit_fits() -> None:

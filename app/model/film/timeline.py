@@ -113,6 +113,15 @@ class Timeline:
         """Without one of the keyframes."""
         return Timeline(self.keyframes[:index] + self.keyframes[index + 1 :])
 
+    def renumbered(self, old: int, new: tuple[int, ...]) -> Timeline:
+        """With objects of the new numbers in place of one, each opened as that was."""
+        keyframes = []
+        for one in self.keyframes:
+            kept = [opened for opened in one.objects if opened.number not in (old, *new)]
+            made = [replace(opened, number=n) for opened in one.objects if opened.number == old for n in new]
+            keyframes.append(replace(one, objects=(*kept, *made)))
+        return Timeline(tuple(keyframes))
+
     def moved(self, index: int, time: float) -> Timeline:
         """With a keyframe moved to another time, kept between its neighbours."""
         low = self.keyframes[index - 1].time + APART if index else 0.0

@@ -140,11 +140,11 @@ class Exporter:
             raise InputError(_("There is no solid to save yet."))
         pieces = [(solids[session.documents[m.index].number], m.piece) for m in session.members]
         if not options.separate:
-            count = save_pieces(path, pieces, session.view_up)
+            count = save_pieces(path, pieces, session.view_up, session.viewing.unit.metres)
             session.notify(_("Saved {count:,} Gaussians in {name}.").format(count=count, name=path.name))
             return
         for number, piece in enumerate(pieces, 1):
-            save_pieces(_numbered(path, number), [piece], session.view_up)
+            save_pieces(_numbered(path, number), [piece], session.view_up, session.viewing.unit.metres)
         session.notify(
             ngettext("Saved {count} piece as {name}.", "Saved {count} pieces beside {name}.", len(pieces)).format(
                 count=len(pieces), name=_numbered(path, 1).name

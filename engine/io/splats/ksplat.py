@@ -78,7 +78,7 @@ def read_ksplat(path: str | Path, most: int | None = None) -> tuple[Gaussians, l
         count = sum(section.count for section in sections)
         if not count:
             raise InputError(f"{path}: there are no Gaussians in it")
-        degree = min(section.degree for section in sections) if most is None else 0
+        degree = max(section.degree for section in sections) if most is None else 0
         span = (low, high) if low < high else SH_RANGE
         stride = stride_for(count, most)
         blocks = _blocks(file, sections, compression, degree, span, stride)
@@ -153,7 +153,7 @@ def _blocks(
             table[:, 7:11] = rows["quat"]
             table[:, 11:14] = rgb_to_sh(rows["rgba"][:, :3] / 255)
             values = rows["sh"] / np.float32(255) * (span[1] - span[0]) + span[0] if compression == 2 else rows["sh"]
-            table[:, 14:] = _by_channel(values.astype(np.float32), degree)
+            table[:, 14:] = _by_channel(values.astype(np.float32), section.degree, degree)
             yield table
         passed += section.count
 
@@ -164,12 +164,12 @@ def _places(steps: NDArray[np.uint16], rows: NDArray[np.int64], section: _Sectio
     return (steps.astype(np.float64) - section.zero) * section.step + section.centres[bucket]
 
 
-def _by_channel(values: NDArray[np.float32], degree: int) -> NDArray[np.float32]:
-    """(R, 3 K). SH reordered from band by band, channel by channel in each, to a .ply's: channel by channel over all
-    bands."""
-    bands, first = [], 0
-    for band in range(1, degree + 1):
+def _by_channel(values: NDArray[np.float32], degree: int, wanted: int) -> NDArray[np.float32]:
+    """(R, 3 K). SH of a degree reordered from band by band, channel by channel in each, to a .ply's: channel by channel
+    over all bands of the wanted degree. What it lacks of these is 0."""
+    table, first = np.zeros((len(values), 3, (wanted + 1) ** 2 - 1), np.float32), 0
+    for band in range(1, min(degree, wanted) + 1):
         width = 2 * band + 1
-        bands.append(values[:, first : first + 3 * width].reshape(-1, 3, width))
+        table[:, :, band * band - 1 :][..., :width] = values[:, first : first + 3 * width].reshape(-1, 3, width)
         first += 3 * width
-    return np.concatenate(bands, axis=2).reshape(len(values), -1) if bands else values[:, :0]
+    return table.reshape(len(values), -1)

@@ -37,8 +37,8 @@ def piece_gaussians(atoms: Atoms, cells: Sequence[Piece]) -> Gaussians:
 
 
 def joined(parts: Sequence[Gaussians]) -> Gaussians:
-    """Several sets of Gaussians as one, cut to the lowest SH degree among them."""
-    bands = min((part.sh.shape[1] for part in parts), default=1)
-    parts = [replace(part, sh=part.sh[:, :bands]) for part in parts]
+    """Several sets of Gaussians as one, with the highest SH degree among them: others look the same from all sides."""
+    bands = max((part.sh.shape[1] for part in parts), default=1)
+    parts = [replace(part, sh=np.pad(part.sh, ((0, 0), (0, bands - part.sh.shape[1]), (0, 0)))) for part in parts]
     names = ("means", "scales", "quats", "opacities", "sh")
     return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

@@ -223,3 +223,15 @@ def test_no_keyframe_is_more_than_a_project_can_keep(session: Session) -> None:
     session.film.add()
     assert len(session.timeline.keyframes) == 1
     assert session.timeline.moved(0, 1e9).seconds == LONGEST
+
+
+def test_parts_of_an_object_go_on_in_its_film() -> None:
+    whole = exploding(SceneKeyframe.of(0.0, EYE, (HALVED,)), 2.0)
+    film = whole.renumbered(HALVED.number, (7, 8))
+    parts = tuple(replace(HALVED, number=number) for number in (7, 8))
+    before, shown = played(whole, (HALVED,), {3: BALL})[0], played(film, parts, {7: BALL, 8: BALL})[0]
+    for time in (0.0, 0.7, 1.0, 1.6):
+        assert [one.explode for one in shown(time)[1]] == [before(time)[1][0].explode] * 2
+    assert before(1.0)[1][0].explode > 0
+    again = film.renumbered(7, (HALVED.number,))
+    assert {opened.number for one in again.keyframes for opened in one.objects} == {HALVED.number, 8}

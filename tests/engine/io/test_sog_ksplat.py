@@ -85,15 +85,17 @@ def zipped(files: dict[str, bytes], folder: str = "") -> bytes:
     return file.getvalue()
 
 
-def ksplat(g: Gaussians, level: int) -> bytes:
-    """A .ksplat of two sections; the first has two full buckets and one that is not."""
+def ksplat(g: Gaussians, level: int, second: int | None = None) -> bytes:
+    """A .ksplat of two sections, the second with SH of another degree if one is given; the first has two full buckets
+    and one that is not."""
     floats, small = ("<f4", "<f2", "<f2")[level], ("<f4", "<f2", "u1")[level]
     bands = [g.sh[:, d * d : (d + 1) ** 2] for d in range(1, g.sh_degree + 1)]  # in each band, channel after channel
     sh = np.concatenate([b.transpose(0, 2, 1).reshape(N, -1) for b in bands], 1) if bands else np.zeros((N, 0))
     if level == 2:
         sh = np.round((sh + 1.5) / 3 * 255)
     heads, data = b"", b""
-    for rows in (slice(0, 500), slice(500, N)):
+    degrees = g.sh_degree, g.sh_degree if second is None else second
+    for rows, degree in zip((slice(0, 500), slice(500, N)), degrees, strict=True):
         means, buckets = g.means[rows], b""
         count, full, partial = len(means), 0, 0
         if level:
@@ -106,7 +108,8 @@ def ksplat(g: Gaussians, level: int) -> bytes:
         else:
             packed = means.astype("<f4")
         rgba = np.round(np.c_[sh_to_rgb(g.sh[rows, 0]), g.opacities[rows]] * 255).clip(0, 255).astype(np.uint8)
-        columns = [packed, g.scales[rows].astype(floats), g.quats[rows].astype(floats), rgba, sh[rows].astype(small)]
+        columns = [packed, g.scales[rows].astype(floats), g.quats[rows].astype(floats), rgba]
+        columns.append(sh[rows, : 3 * ((degree + 1) ** 2 - 1)].astype(small))
         bytes_ = [np.ascontiguousarray(c).view(np.uint8).reshape(count, -1) for c in columns]
         data += buckets + np.concatenate(bytes_, 1).tobytes()
         head = struct.pack(
@@ -120,7 +123,7 @@ def ksplat(g: Gaussians, level: int) -> bytes:
             32767,
             full,
             partial,
-            g.sh_degree,
+            degree,
         )
         heads += head.ljust(1024, b"\0")
     start = struct.pack("<BBxx4IH2x3f2f", 0, 1, 2, 2, N, N, level, 0, 0, 0, -1.5, 1.5)
@@ -154,6 +157,14 @@ def test_a_ksplat_is_read_to_its_steps(tmp_path: Path, level: int, degree: int) 
     sample = load_sample(tmp_path / "a.ksplat", 90)
     assert sample is not None
     np.testing.assert_array_equal(sample.gaussians.means, found.means[::7])  # the sample goes across sections
+
+
+def test_sections_of_a_ksplat_keep_their_degrees(tmp_path: Path) -> None:
+    true = scene(2)
+    found = seen(tmp_path / "a.ksplat", ksplat(true, 0, second=1))
+    assert found.sh_degree == 2 and not found.sh[500:, 4:].any()
+    assert np.abs(found.sh[:500] - true.sh[:500]).max() < 0.01
+    assert np.abs(found.sh[500:, 1:4] - true.sh[500:, 1:4]).max() < 1e-6
 
 
 @pytest.mark.skipif(not FORMATS.exists(), reason="the folder of other formats is absent")

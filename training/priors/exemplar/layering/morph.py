@@ -118,7 +118,9 @@ class Slices:
             by_depth = np.clip(1 - places.depth * self.shape.inradius / float(self.shape.rims.max()), 0, 1)
             near = skin_weight(places.depth, DEFAULT_RIND)
             share = near * by_depth + (1 - near) * share
-        return self.stack.read(share * np.cos(angle), share * np.sin(angle), places.level / len(self.shape.rims))
+        return self.stack.read(
+            share * np.cos(angle), share * np.sin(angle), (places.level + 0.5) / len(self.shape.rims)
+        )
 
     def record(self) -> InsideRecord:
         """Arrays and facts from which `restored` makes the same slices."""
