@@ -237,7 +237,7 @@ def save_pieces(
     gaussians = joined([piece_gaussians(atoms, piece.drawn()) for atoms, piece in pieces]) if pieces else None
     if gaussians is None or not len(gaussians):
         raise InputError(f"{path}: nothing to save; no piece is shown")
-    if path.suffix.lower() in IN_METRES:
+    if metres != 1 and path.suffix.lower() in IN_METRES:
         gaussians = moved(gaussians, np.eye(3), factor=metres)
     write_splats(path, gaussians, Provenance(up))
     return len(gaussians)

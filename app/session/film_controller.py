@@ -152,7 +152,8 @@ class FilmController:
             )
         elif len(film.keyframes) >= MOST_KEYFRAMES or film.seconds > LONGEST - STEP:
             wrong = _("The film is as long as it can be.")
-        self.workspace.notify(wrong or self.workspace.message)
+        if wrong:
+            self.workspace.notify(wrong)
         return bool(wrong)
 
     def update(self) -> None:

@@ -70,9 +70,9 @@ def read_mesh(
     """`count` flat Gaussians, SH degree 0, spread evenly over the surface of an .obj, .glb, .gltf, .ply or .stl.
 
     Their third axis is the face's normal; along the surface they are large enough to close the shell. Colours come from
-    the texture (bilinear), the vertices, the faces or the material (`_colours`); otherwise they
-    are grey, with a warning. Repeated faces count once, also with a warning; `warn` takes one line each. Raises
-    InputError if there is no surface, or if a texture is missing or not a picture.
+    the texture (bilinear), the vertices, the faces or the material (`_colours`); otherwise they are grey, with a
+    warning. Repeated faces count once, also with a warning; `warn` takes one line each. Raises InputError if there is
+    no surface, or if a texture is missing or not a picture.
     """
     assert count > 0, count
     path = Path(path)
