@@ -183,6 +183,31 @@ def names(driver: Driver, folder: Path) -> None:
     assert window.viewport.size[0] > 200
 
 
+def replaced(driver: Driver, folder: Path) -> None:
+    """A file that is there is replaced once the user agrees."""
+    session, window = driver.session, driver.window
+    there = folder / "there.png"
+    there.write_bytes(b"mine")
+    window.dialogs.native = False
+
+    def choose(path: Path) -> None:
+        window.export.open("picture")
+        driver.frames(2)
+        driver.click("//$FOCUSED/Choose where...")
+        driver.frames(2)
+        driver.context.key_chars_replace_enter(str(path))
+        driver.frames(2)
+
+    choose(there)
+    assert session.question is not None and "there.png" in session.question.text and there.read_bytes() == b"mine"
+    driver.press(Key.escape)
+    assert session.question is None and there.read_bytes() == b"mine"
+    choose(there)
+    driver.click("//$FOCUSED/Replace")
+    driver.frames(2)
+    assert there.read_bytes()[:4] == b"\x89PNG", session.error
+
+
 def fail(driver: Driver, folder: Path) -> None:
     """Background work that fails is told of, and does not end the window."""
     session = driver.session
@@ -199,7 +224,7 @@ def inside(name: str) -> str:
 
 def run_all(driver: Driver, folder: Path) -> None:
     """Runs all scripts in one window."""
-    for script in (film, throw_and_slice, names, fail):
+    for script in (film, throw_and_slice, names, replaced, fail):
         script(driver, folder)
 
 

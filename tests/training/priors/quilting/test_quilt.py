@@ -116,6 +116,7 @@ def test_what_one_plane_alone_shows_is_as_thin_as_asked_for(monkeypatch: pytest.
     monkeypatch.setattr(Label, "depth_in_chambers", lambda _, places: np.full(len(places.x), no_walls))
     points = level(0)
     points = points[np.abs(points[:, 1]) > 0.1]  # not where the radial picture is shown
+    found = []
 
     def shown(height: float, film: float = PIXEL) -> NDArray[np.float32]:
         return made.read(points + np.array([0, 0, height], np.float32), film)
@@ -123,14 +124,18 @@ def test_what_one_plane_alone_shows_is_as_thin_as_asked_for(monkeypatch: pytest.
     def apart(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.floating]:
         return np.linalg.norm(a - b, axis=1)
 
-    made = quilted(*map(photograph, PAIRS[1]), seed=2)  # 0.38 to 0.53 of four seeds, as arils lie elsewhere
-    own, above, below = (shown(height) for height in (0, 0.07, -0.07))
-    alone = (apart(own, above) > 0.25) & (apart(own, below) > 0.25)
-    for height, beside in ((0.012, above), (-0.012, below)):
-        for film, is_thick in ((PIXEL, False), (0.05, True)):
-            there = shown(height, film)
-            as_own = (apart(there, own) < apart(there, beside))[alone].mean()
-            assert as_own > 0.7 if is_thick else as_own < 0.5
+    for seed in range(3):  # of one, 0.38 to 0.53 is thin: arils lie elsewhere
+        made = quilted(*map(photograph, PAIRS[1]), seed=seed)
+        own, above, below = (shown(height) for height in (0, 0.07, -0.07))
+        alone = (apart(own, above) > 0.25) & (apart(own, below) > 0.25)
+        for height, beside in ((0.012, above), (-0.012, below)):
+            thin, thick = (
+                (apart(there, own) < apart(there, beside))[alone].mean()
+                for there in (shown(height, film) for film in (PIXEL, 0.05))
+            )
+            found.append((thin, thick))
+    thin, thick = np.array(found).reshape(3, 2, 2).mean(0).T
+    assert (thin < 0.5).all() and (thick > 0.7).all()
 
 
 def test_walls_between_chambers_go_on_beside_their_plane() -> None:
